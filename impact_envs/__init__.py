@@ -1,0 +1,62 @@
+"""Robots that move free-floating objects by hitting them: environments with exact impacts and STL tasks.
+
+The public door. Importing it registers the Gymnasium ids and loads no solver and no learner.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+
+from impact_envs.errors import FormulaError, InputError, ScenarioError
+
+# Bound here, not lazily: the function shares its name with its module.
+from impact_envs.rollout import Diagnostics, Episode, Policy, rollout
+from impact_envs.scenario import Scenario, list_scenarios, load_scenario
+
+if TYPE_CHECKING:
+    from impact_envs.env import ImpactEnv, parallel_env
+    from impact_envs.joint import JointEnv
+
+__all__ = [
+    "Diagnostics",
+    "Episode",
+    "FormulaError",
+    "ImpactEnv",
+    "InputError",
+    "JointEnv",
+    "Policy",
+    "Scenario",
+    "ScenarioError",
+    "gym_id",
+    "list_scenarios",
+    "load_scenario",
+    "parallel_env",
+    "rollout",
+]
+
+# Names loaded when first used, so that reading a scenario needs no simulator.
+_LAZY = {"ImpactEnv": "env", "JointEnv": "joint", "parallel_env": "env"}
+# Scenario names whose Gymnasium id is not their words capitalised.
+_TITLES = {"pingpong": "PingPong"}
+
+
+def gym_id(scenario: str, residual: bool = False) -> str:
+    """Return the Gymnasium id of a shipped scenario, for example ``impact_envs/ThrowAndCatch-v0``."""
+    title = _TITLES.get(scenario) or "".join(word.capitalize() for word in scenario.split("_"))
+    return f"impact_envs/{title}{'Residual' if residual else ''}-v0"
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return getattr(import_module(f"impact_envs.{_LAZY[name]}"), name)
+    raise AttributeError(f"module 'impact_envs' has no attribute '{name}'")
+
+
+for _name in list_scenarios():
+    gymnasium.register(gym_id(_name), "impact_envs.joint:JointEnv", kwargs={"scenario": _name})
+    gymnasium.register(
+        gym_id(_name, residual=True), "agents.residual:ResidualEnv", kwargs={"scenario": _name}
+    )

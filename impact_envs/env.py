@@ -1,0 +1,287 @@
+"""The one environment: a model and a task, joined in PettingZoo's parallel interface."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.utils import seeding
+from pettingzoo import ParallelEnv
+
+from impact_envs.physics.impact import Impact
+from impact_envs.scenario import Scenario, load_scenario
+from impact_envs.shape import Shape
+from impact_envs.stl import Monitor
+
+# A full-thrust step of every actuator costs this much robustness per control period.
+EFFORT_WEIGHT = 1e-4  # [m]
+# The world of each domain: module and class of its model and its task.
+DOMAINS = {
+    "free_flyer": (
+        ("impact_envs.free_flyer.model", "FreeFlyerModel"),
+        ("impact_envs.free_flyer.task", "FreeFlyerTask"),
+    )
+}
+
+
+class Model(Protocol):
+    """What the world does."""
+
+    def reset(self, physics: Any) -> None:
+        """Put the bodies at their start in a world with these physics."""
+
+    def step(self, controls: Mapping[str, np.ndarray]) -> list[Impact]:
+        """Advance one control period under held controls; return the impacts in order of time."""
+
+    def state(self) -> np.ndarray:
+        """Return the true state, one row per body."""
+
+
+class Task(Protocol):
+    """What is asked of the agents."""
+
+    scenario: Any
+    action_spaces: Mapping[str, Box]
+    observation_spaces: Mapping[str, Box]
+    joint_observation_space: Box
+    state_space: Box
+
+    def reset(self, physics: Any, states: np.ndarray, rng: np.random.Generator) -> None:
+        """Start an episode."""
+
+    def controls(self, actions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Scale actions to physical controls."""
+
+    def effort(self, action: np.ndarray) -> float:
+        """Return an agent's effort in one control period, in [0, 1]."""
+
+    def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
+        """Return the propulsion spent in one control period."""
+
+    def sense(self, states: np.ndarray, impacts: list[Impact]) -> None:
+        """Take the sensors' sample."""
+
+    def observe(self, time: float, bounds: tuple[float, float]) -> dict[str, np.ndarray]:
+        """Return each agent's observation."""
+
+    def observe_jointly(self, time: float, bounds: tuple[float, float]) -> np.ndarray:
+        """Return all agents' observation as one vector."""
+
+    def signals(self, states: np.ndarray) -> dict[str, float]:
+        """Return the signals the formula speaks of."""
+
+    def signal_bounds(self) -> dict[str, tuple[float, float]]:
+        """Return bounds of signals known beforehand."""
+
+    def shapes(self) -> tuple[Shape, ...]:
+        """Return what is drawn."""
+
+
+class ImpactEnv(ParallelEnv):
+    """Agents that reach a Signal Temporal Logic specification by hitting free-floating objects.
+
+    Action space: per agent ``Box(-1, 1)``, scaled to its limits inside (see the task).
+
+    Observation space: per agent a fresh float64 vector of measurements in SI units (see the task for every element).
+
+    Rewards: the team's part, shared equally, is the change of the middle of the interval of robustness still
+    possible (the online monitor's bounds, clipped to the world's diagonal), plus the robustness reached at the end;
+    each agent pays ``EFFORT_WEIGHT`` times its mean square action. The sum over agents is what JointEnv returns.
+
+    Starting state: as the scenario says, at rest; the true physics are drawn from the reset seed.
+
+    Episode end: never ``terminated``; ``truncated`` at the scenario's horizon (or ``max_cycles``, if earlier).
+
+    ``infos[agent]`` carries ``robustness_lower``, ``robustness_upper``; at the end also ``robustness`` and ``success``
+    of the whole formula on the true signals (``robustness`` is the lower bound if max_cycles cut the horizon).
+    """
+
+    metadata = {
+        "name": "impact_envs",
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 30,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self, model: Model, task: Task, render_mode: str | None = None, max_cycles: int | None = None
+    ) -> None:
+        self.model, self.task, self.render_mode = model, task, render_mode
+        self.scenario: Any = task.scenario
+        self.max_cycles = self.scenario.steps if max_cycles is None else max_cycles
+        self.possible_agents = list(self.scenario.agents)
+        self.agents: list[str] = []
+        self.state_space = task.state_space
+        self.monitor = Monitor(
+            self.scenario.specification,
+            self.scenario.control_period,
+            self.scenario.areas,
+            self.scenario.bodies,
+            task.signal_bounds(),
+        )
+        self.curves: dict[str, np.ndarray] = {}  # polylines to draw under the bodies, for example a plan
+        self.impacts: list[Impact] = []  # of the last control period
+        self.impulse = 0.0  # propulsion spent since reset
+        self._rng: np.random.Generator | None = None
+        self._renderer: Any = None
+        self._track: list[dict[str, tuple[float, float, float]]] = []  # poses of every step, kept for rendering
+        self._marks: list[Impact] = []
+
+    def observation_space(self, agent: str) -> Box:
+        """Return the agent's observation space, the same object at every call."""
+        return self.task.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Box:
+        """Return the agent's action space, the same object at every call."""
+        return self.task.action_spaces[agent]
+
+    @property
+    def time(self) -> float:
+        """Return the time since reset [s]."""
+        return self.steps * self.scenario.control_period
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
+        """Draw a world and start.
+
+        Args:
+            seed: of the whole episode; without one the last episode's generator goes on.
+            options: accepted for the interface, unused.
+
+        Returns:
+            Observations and infos by agent.
+        """
+        if seed is not None or self._rng is None:
+            self._rng, _ = seeding.np_random(seed)
+        physics = self.scenario.draw(self._rng)
+        self.model.reset(physics)
+        self.steps, self.impacts, self.impulse = 0, [], 0.0
+        self.agents = list(self.possible_agents)
+        self.signals = self.task.signals(self.model.state())
+        self.task.reset(physics, self.model.state(), self._rng)
+        self.monitor.reset()
+        self.bounds = self._clip(self.monitor.update(self.signals))
+        self._track, self._marks = [], []
+        self._remember()
+        return self.task.observe(0.0, self.bounds), self._infos()
+
+    def step(
+        self, actions: Mapping[str, np.ndarray]
+    ) -> tuple[
+        dict[str, np.ndarray],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Hold the actions for one control period.
+
+        Args:
+            actions: agent to its action in [-1, 1].
+
+        Returns:
+            Observations, rewards, terminations, truncations, infos by agent.
+        """
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        controls = self.task.controls(actions)
+        self.impacts = self.model.step(controls)
+        self.steps += 1
+        self.impulse += self.task.impulse(controls)
+        states = self.model.state()
+        self.signals = self.task.signals(states)
+        self.task.sense(states, self.impacts)
+        before, self.bounds = self.bounds, self._clip(self.monitor.update(self.signals))
+        self._remember()
+        over = self.steps >= min(self.max_cycles, self.scenario.steps)
+        team = (sum(self.bounds) - sum(before)) / 2 + (self.bounds[0] if over else 0.0)
+        agents = self.agents
+        rewards = {
+            agent: team / len(agents) - EFFORT_WEIGHT * self.task.effort(actions[agent]) for agent in agents
+        }
+        observations, infos = self.task.observe(self.time, self.bounds), self._infos(over)
+        if over:
+            self.agents = []
+        if self.render_mode == "human":
+            self.render()
+        return observations, rewards, dict.fromkeys(agents, False), dict.fromkeys(agents, over), infos
+
+    def state(self) -> np.ndarray:
+        """Return the true state of all bodies, row after row, then time / horizon (for centralised critics)."""
+        return np.append(self.model.state().ravel(), self.time / self.scenario.horizon)
+
+    def render(self) -> np.ndarray | None:
+        """Draw the present step.
+
+        Returns:
+            An image, shape (height, width, 3) uint8, in mode ``rgb_array``; None in mode ``human``.
+        """
+        if self.render_mode is None:
+            return None
+        from impact_envs.render import Frame, Renderer
+
+        world = self.scenario.world
+        if self._renderer is None:
+            self._renderer = Renderer(world.lower, world.upper, self.task.shapes(), self.render_mode)
+        frame = Frame(
+            time=self.time,
+            poses=self._track[-1],
+            trails={body: np.array([step[body][:2] for step in self._track]) for body in self.scenario.bodies},
+            plans=self.curves,
+            impacts=[(*mark.point, self.time - mark.time) for mark in self._marks],
+            robustness=self.bounds,
+            caption=self.scenario.name,
+        )
+        return self._renderer.draw(frame)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderer": None}
+
+    def _remember(self) -> None:
+        if self.render_mode is not None:
+            s = self.signals
+            bodies = self.scenario.bodies
+            self._track.append({b: (s[f"{b}.x"], s[f"{b}.y"], s[f"{b}.heading"]) for b in bodies})
+            self._marks += self.impacts
+
+    def _clip(self, bounds: tuple[float, float]) -> tuple[float, float]:
+        limit = self.scenario.world.diagonal
+        return max(-limit, min(limit, bounds[0])), max(-limit, min(limit, bounds[1]))
+
+    def _infos(self, over: bool = False) -> dict[str, dict[str, Any]]:
+        info: dict[str, Any] = {"robustness_lower": self.bounds[0], "robustness_upper": self.bounds[1]}
+        if over:
+            info |= {"robustness": self.bounds[0], "success": self.monitor.verdict is True}
+        return {agent: dict(info) for agent in self.agents}
+
+
+def parallel_env(
+    scenario: str | Path | Scenario, render_mode: str | None = None, max_cycles: int | None = None
+) -> ImpactEnv:
+    """Make the environment of a scenario.
+
+    Args:
+        scenario: a shipped name, the path of a TOML file, or a Scenario.
+        render_mode: None, ``human`` or ``rgb_array``.
+        max_cycles: truncate earlier than the horizon [control periods].
+
+    Returns:
+        A PettingZoo ParallelEnv.
+
+    Raises:
+        ScenarioError: the scenario cannot be read.
+    """
+    loaded = load_scenario(scenario)
+    model, task = (getattr(importlib.import_module(m), name) for m, name in DOMAINS[loaded.domain])
+    return ImpactEnv(model(loaded), task(loaded), render_mode, max_cycles)

@@ -1,0 +1,34 @@
+"""Errors a user can mend: one line that names the thing, the value and the choices."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class InputError(ValueError):
+    """Bad input from the user (file, formula, argument, checkpoint); the command line exits with 2."""
+
+
+class ScenarioError(InputError):
+    """A scenario file that cannot be read or does not make sense."""
+
+
+class FormulaError(InputError):
+    """An STL formula that cannot be parsed, or does not fit the scenario or the trace."""
+
+
+def choices(wrong: str, known: Iterable[str]) -> str:
+    """Say which names are known, the nearest one first.
+
+    Args:
+        wrong: the name that is not known.
+        known: the names that are.
+
+    Returns:
+        Text such as ``did you mean 'radius'? choices: mass, radius``.
+    """
+    names = list(known)
+    near = difflib.get_close_matches(wrong, names, n=1)
+    hint = f"did you mean '{near[0]}'? " if near else ""
+    return f"{hint}choices: {', '.join(names) or 'none'}"

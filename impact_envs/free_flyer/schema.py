@@ -1,0 +1,265 @@
+"""Tables of a free-flyer scenario: who is where, what is believed, what is true, and the draw of one true world."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from impact_envs.scenario import (
+    Box,
+    Finite,
+    NonNegative,
+    Positive,
+    Quantity,
+    Region,
+    Scenario,
+    Table,
+    Uniform,
+    Vector,
+    check_convex,
+    draw,
+)
+
+Restitution = Annotated[float, Field(ge=0, le=1)]
+
+
+class Obstacle(Region):
+    """An area to avoid; ``solid`` ones stop bodies, the others exist only in the formula."""
+
+    solid: bool = False
+
+
+class Body(Table):
+    """What robots and objects have in common; masses are the believed ones."""
+
+    start: Vector  # position of the geometric centre [m]
+    heading: Finite = 0.0  # [rad]
+    mass: Positive  # [kg]
+    inertia: Positive  # about the centre of mass [kg m^2]
+    radius: Positive  # of the disc, or of the circle round the polygon [m]
+    speed_limit: Positive  # per axis [m/s]
+
+
+class Robot(Body):
+    """A free-flyer driven by a force and a torque in its body frame."""
+
+    goal: Vector | None = None  # where it must rest at the horizon [m]
+    force_limit: Positive  # per body axis [N]
+    torque_limit: Positive  # [N m]
+
+
+class Object(Body):
+    """A passive body, moved only by impacts."""
+
+    vertices: tuple[Vector, ...] | None = None  # convex polygon in the body frame [m]; a disc without
+    rest: bool = True  # must it be at rest at the horizon
+
+    @model_validator(mode="after")
+    def _shape(self) -> Self:
+        if self.vertices is not None:
+            check_convex(self.vertices)
+            reach = max(math.hypot(*vertex) for vertex in self.vertices)
+            if reach > self.radius * (1 + 1e-9):
+                raise ValueError(f"radius {self.radius:g} is smaller than the farthest vertex at {reach:.3g}")
+        return self
+
+
+class Believed(Table):
+    """The physics that planner and expert compute with."""
+
+    restitution: Restitution
+    friction: NonNegative = 0.0
+
+
+class Truth(Table):
+    """The physics of the simulated world, numbers or distributions; unset means as believed, undisturbed."""
+
+    restitution: Restitution | Uniform | None = None
+    restitution_speed: Quantity = 0.0  # e(v) = restitution * exp(-v / restitution_speed) [m/s]; 0 = constant
+    friction: Quantity | None = None  # Coulomb coefficient at contacts
+    robot_mass_scale: Quantity = 1.0  # true mass over believed mass
+    object_mass_scale: Quantity = 1.0
+    center_of_mass_offset: Quantity = 0.0  # of objects, in a random body direction [m]
+    drift: Quantity = 0.0  # constant acceleration of each object, random direction [m/s^2]
+    thruster_gain: Quantity = 1.0  # true over commanded force, drawn per robot
+    weak_thruster: Quantity = 1.0  # further gain of one random thruster direction of one random robot
+    thruster_on_off: bool = False  # thrusters are off or full at the control rate
+    position_noise: NonNegative = 0.0  # standard deviation per axis [m]
+    velocity_measured: bool = True  # otherwise velocity is a filtered difference of positions
+    delay_steps: Annotated[int, Field(ge=0, le=50)] = 0  # control periods between event and observation
+
+    @model_validator(mode="after")
+    def _limits(self) -> Self:
+        for name in ("robot_mass_scale", "object_mass_scale"):
+            if smallest(getattr(self, name)) <= 0:
+                raise ValueError(f"{name} must be above 0")
+        for name in ("restitution", "restitution_speed", "friction", "center_of_mass_offset", "drift"):
+            value = getattr(self, name)
+            if value is not None and smallest(value) < 0:
+                raise ValueError(f"{name} must not be negative")
+        if isinstance(self.restitution, Uniform) and self.restitution.uniform[1] > 1:
+            raise ValueError(f"restitution reaches {self.restitution.uniform[1]:g}, above 1")
+        return self
+
+
+def smallest(quantity: Quantity) -> float:
+    """Return the smallest value a quantity can take."""
+    return quantity.uniform[0] if isinstance(quantity, Uniform) else quantity
+
+
+@dataclass(frozen=True)
+class Physics:
+    """One true world: the numbers drawn for one episode.
+
+    Attributes:
+        restitution: coefficient of restitution at zero speed.
+        restitution_speed: e(v) = restitution * exp(-v / restitution_speed) [m/s]; 0 = constant.
+        friction: Coulomb coefficient at contacts.
+        masses, inertias: per body [kg], [kg m^2].
+        center_of_mass: per body, offset from the geometric centre in the body frame, shape (2,) [m].
+        drift: per object, constant world acceleration, shape (2,) [m/s^2].
+        thruster_gain: per robot, shape (3, 2), gain of channels Fx, Fy, torque for positive and negative commands.
+        thruster_on_off: thrusters are off or full.
+        position_noise: standard deviation per axis [m].
+        velocity_measured: False when velocity is a filtered difference of positions.
+        delay_steps: control periods between event and observation.
+    """
+
+    restitution: float
+    restitution_speed: float
+    friction: float
+    masses: Mapping[str, float]
+    inertias: Mapping[str, float]
+    center_of_mass: Mapping[str, np.ndarray]
+    drift: Mapping[str, np.ndarray]
+    thruster_gain: Mapping[str, np.ndarray]
+    thruster_on_off: bool = False
+    position_noise: float = 0.0
+    velocity_measured: bool = True
+    delay_steps: int = 0
+
+
+class FreeFlyerScenario(Scenario):
+    """Free-flyers that move passive objects by impacts in a planar, weightless world box."""
+
+    suite_file: ClassVar[Path | None] = Path(__file__).parent / "suites.toml"
+
+    domain: Literal["free_flyer"]
+    world: Box
+    robots: dict[str, Robot]
+    objects: dict[str, Object]
+    obstacles: dict[str, Obstacle] = {}
+    believed: Believed
+    true: Truth = Truth()
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """Return the robots' names, in file order."""
+        return tuple(self.robots)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Return robots, then objects, in file order: the canonical order of all arrays."""
+        return (*self.robots, *self.objects)
+
+    @property
+    def areas(self) -> Mapping[str, Region]:
+        """Return regions and obstacles by name."""
+        return {**self.regions, **self.obstacles}
+
+    def body(self, name: str) -> Robot | Object:
+        """Return a robot or object by name."""
+        return self.robots[name] if name in self.robots else self.objects[name]
+
+    def as_believed(self) -> Self:
+        """Return the scenario as the expert sees it: the true world is the believed one, undisturbed."""
+        return self.model_copy(update={"true": Truth()})
+
+    def draw(self, rng: np.random.Generator) -> Physics:
+        """Draw one true world.
+
+        Args:
+            rng: the episode's generator; the order of draws is fixed, so worlds of one seed share what they can.
+
+        Returns:
+            The numbers of one episode.
+        """
+        true, believed = self.true, self.believed
+        restitution = believed.restitution if true.restitution is None else draw(true.restitution, rng)
+        friction = believed.friction if true.friction is None else draw(true.friction, rng)
+        scale = {name: draw(true.robot_mass_scale, rng) for name in self.robots}
+        scale |= {name: draw(true.object_mass_scale, rng) for name in self.objects}
+        zero = {name: np.zeros(2) for name in self.robots}
+        return Physics(
+            restitution=restitution,
+            restitution_speed=draw(true.restitution_speed, rng),
+            friction=friction,
+            masses={name: self.body(name).mass * scale[name] for name in self.bodies},
+            inertias={name: self.body(name).inertia * scale[name] for name in self.bodies},
+            center_of_mass=zero | {name: _vector(true.center_of_mass_offset, rng) for name in self.objects},
+            drift={name: _vector(true.drift, rng) for name in self.objects},
+            thruster_gain=self._draw_thrusters(rng),
+            thruster_on_off=true.thruster_on_off,
+            position_noise=true.position_noise,
+            velocity_measured=true.velocity_measured,
+            delay_steps=true.delay_steps,
+        )
+
+    def _draw_thrusters(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        gains = {name: np.full((3, 2), draw(self.true.thruster_gain, rng)) for name in self.robots}
+        weakest = draw(self.true.weak_thruster, rng)
+        robot = self.agents[int(rng.integers(len(self.agents)))]
+        gains[robot][int(rng.integers(2)), int(rng.integers(2))] *= weakest
+        return gains
+
+    @model_validator(mode="after")
+    def _placed(self) -> Self:
+        if not self.robots:
+            raise ValueError("robots: at least one is needed")
+        shared = set(self.robots) & set(self.objects) | set(self.regions) & set(self.obstacles)
+        if shared:
+            raise ValueError(f"'{sorted(shared)[0]}' names two things")
+        reserved = set(self.bodies) & {"all"}
+        if reserved:
+            raise ValueError("a body cannot be called 'all'")
+        for name in self.bodies:
+            self._check_inside(name)
+        names = self.bodies
+        for i, first in enumerate(names):
+            for second in names[i + 1 :]:
+                a, b = self.body(first), self.body(second)
+                if math.dist(a.start, b.start) < a.radius + b.radius:
+                    raise ValueError(f"{first} and {second} overlap at the start")
+        return self
+
+    def _check_inside(self, name: str) -> None:
+        body = self.body(name)
+        table = "robots" if name in self.robots else "objects"
+        places = {"start": body.start, "goal": getattr(body, "goal", None)}
+        (x0, y0), (x1, y1) = self.world.lower, self.world.upper
+        for key, place in places.items():
+            if place is None:
+                continue
+            x, y = place
+            r = body.radius
+            if not (x0 + r <= x <= x1 - r and y0 + r <= y <= y1 - r):
+                raise ValueError(
+                    f"{table}.{name}.{key} = {list(place)} with radius {r:g} is not inside the world "
+                    f"{list(self.world.lower)} to {list(self.world.upper)}"
+                )
+            for area, obstacle in self.obstacles.items():
+                H, b = obstacle.halfspaces()
+                if obstacle.solid and np.max(H @ np.array(place) - b) < r:
+                    raise ValueError(f"{table}.{name}.{key} = {list(place)} touches the solid obstacle '{area}'")
+
+
+def _vector(size: Quantity, rng: np.random.Generator) -> np.ndarray:
+    """Draw a vector of a given size in a uniform direction, shape (2,)."""
+    length, angle = draw(size, rng), rng.uniform(0, 2 * math.pi)
+    return length * np.array([math.cos(angle), math.sin(angle)])

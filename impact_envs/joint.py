@@ -1,0 +1,69 @@
+"""All agents seen as one, for single-agent learners and ``gymnasium.make``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+
+from impact_envs.env import parallel_env
+from impact_envs.scenario import Scenario
+
+
+class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """ImpactEnv with one action and one observation.
+
+    Action space: ``Box(-1, 1)``, the agents' actions one after another in scenario order.
+
+    Observation space: everything measured once (bodies in scenario order, contacts, time / horizon, robustness
+    interval; see the task's ``observe_jointly``).
+
+    Rewards, starting state, episode end: as ImpactEnv; the reward is the sum over agents.
+    """
+
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 30}
+
+    def __init__(
+        self, scenario: str | Path | Scenario, render_mode: str | None = None, max_cycles: int | None = None
+    ) -> None:
+        self.parallel = parallel_env(scenario, render_mode, max_cycles)
+        self.render_mode = render_mode
+        self._sizes = [self.parallel.action_space(agent).shape[0] for agent in self.parallel.possible_agents]
+        self.action_space = Box(-1.0, 1.0, (sum(self._sizes),), np.float32)
+        self.observation_space = self.parallel.task.joint_observation_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Draw a world and start; see ImpactEnv.reset."""
+        super().reset(seed=seed)
+        _, infos = self.parallel.reset(seed=seed, options=options)
+        return self._observe(), next(iter(infos.values()))
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Hold all agents' actions for one control period; see ImpactEnv.step."""
+        parts = np.split(np.asarray(action), np.cumsum(self._sizes)[:-1])
+        agents = self.parallel.possible_agents
+        _, rewards, terminations, truncations, infos = self.parallel.step(dict(zip(agents, parts, strict=True)))
+        first = agents[0]
+        return (
+            self._observe(),
+            float(sum(rewards.values())),
+            terminations[first],
+            truncations[first],
+            infos[first],
+        )
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]  # one mode never returns a list
+        """Draw the present step; see ImpactEnv.render."""
+        return self.parallel.render()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self.parallel.close()
+
+    def _observe(self) -> np.ndarray:
+        return self.parallel.task.observe_jointly(self.parallel.time, self.parallel.bounds)

@@ -1,0 +1,185 @@
+"""One renderer for every domain: frames in, a window, RGB arrays or a film out."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from impact_envs.errors import InputError, choices
+from impact_envs.painter import Frame, Painter
+from impact_envs.shape import Shape
+
+if TYPE_CHECKING:
+    import pygame
+
+    from impact_envs.env import ImpactEnv
+
+MODES = ("human", "rgb_array")
+SUFFIXES = (".mp4", ".gif")
+
+
+class Renderer:
+    """Show frames of one world in a window, or return them as arrays.
+
+    Args:
+        world_lower: lower corner of the world box (x, y) [m].
+        world_upper: upper corner of the world box (x, y) [m].
+        shapes: what the world and its bodies look like.
+        mode: "human" shows a window, "rgb_array" returns arrays and needs no display.
+        size: width and height of the picture [px]; None chooses them from the shape of the world.
+        fps: most frames per second shown in a window.
+
+    Raises:
+        InputError: unknown mode, empty world, or a size too small to draw in.
+    """
+
+    def __init__(
+        self,
+        world_lower: Sequence[float],
+        world_upper: Sequence[float],
+        shapes: Sequence[Shape],
+        mode: str = "rgb_array",
+        size: tuple[int, int] | None = None,
+        fps: float = 60.0,
+    ) -> None:
+        if mode not in MODES:
+            raise InputError(f"render mode '{mode}' is unknown: {choices(mode, MODES)}")
+        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # pygame greets on standard output
+        self.mode = mode
+        self._painter, self._fps = Painter(world_lower, world_upper, shapes, size), fps
+        self._window: pygame.Surface | None = None
+
+    def draw(self, frame: Frame) -> np.ndarray | None:
+        """Draw one frame.
+
+        Args:
+            frame: poses and overlays of this instant.
+
+        Returns:
+            A new array, shape (height, width, 3) uint8, in mode "rgb_array"; None in mode "human".
+
+        Raises:
+            InputError: a body with a shape has no pose, or mode "human" finds no display.
+            KeyboardInterrupt: the user closed the window.
+        """
+        import pygame
+
+        picture = self._painter.paint(frame)
+        if self.mode == "rgb_array":
+            return np.ascontiguousarray(pygame.surfarray.array3d(picture).swapaxes(0, 1))
+        self._show(picture)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one; drawing again opens a new one."""
+        if self._window is not None:
+            import pygame
+
+            pygame.display.quit()
+            self._window = None
+
+    def _show(self, picture: pygame.Surface) -> None:
+        import pygame
+
+        if self._window is None:
+            pygame.display.init()
+            if pygame.display.get_driver() == "offscreen":  # SDL's silent last resort
+                pygame.display.quit()
+                raise InputError("render mode 'human' finds no display; choices without one: rgb_array")
+            self._window, self._clock = pygame.display.set_mode(picture.get_size()), pygame.time.Clock()
+            pygame.display.set_caption("impact_envs")
+        if pygame.event.get(pygame.QUIT):
+            self.close()
+            raise KeyboardInterrupt("window closed")
+        self._window.blit(picture, (0, 0))
+        pygame.display.flip()
+        self._clock.tick(self._fps)
+
+
+class View:
+    """Draw an environment step by step; trails and impacts gather from one drawn step to the next.
+
+    Args:
+        scenario: gives the world box and the caption.
+        shapes: what the world and its bodies look like.
+        mode: "human" or "rgb_array".
+    """
+
+    def __init__(self, scenario: Any, shapes: Sequence[Shape], mode: str) -> None:
+        self._renderer = Renderer(scenario.world.lower, scenario.world.upper, shapes, mode)
+        self._bodies = list(dict.fromkeys(shape.body for shape in shapes if shape.body is not None))
+        self._caption = scenario.name
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget trails and impacts."""
+        self._time = -math.inf
+        self._trails: dict[str, list[tuple[float, float]]] = {body: [] for body in self._bodies}
+        self._impacts: list[tuple[float, float, float]] = []  # (x, y, time)
+
+    def draw(self, env: ImpactEnv) -> np.ndarray | None:
+        """Draw the environment's present step.
+
+        Args:
+            env: an environment that has been reset.
+
+        Returns:
+            An image, shape (height, width, 3) uint8, in mode "rgb_array"; None in mode "human".
+        """
+        signals = env.signals
+        poses = {b: (signals[f"{b}.x"], signals[f"{b}.y"], signals[f"{b}.heading"]) for b in self._bodies}
+        if env.time > self._time:  # a step drawn twice counts once
+            self._time = env.time
+            self._impacts += [(float(i.point[0]), float(i.point[1]), i.time) for i in env.impacts]
+            for body, (x, y, _) in poses.items():
+                self._trails[body].append((x, y))
+        trails = {body: np.array(trail) for body, trail in self._trails.items()}
+        impacts = [(x, y, env.time - time) for x, y, time in self._impacts]
+        frame = Frame(env.time, poses, trails, env.curves, impacts, env.bounds, self._caption)
+        return self._renderer.draw(frame)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self._renderer.close()
+
+
+def save_video(frames: Iterable[np.ndarray], path: str | Path, fps: float) -> Path:
+    """Write frames to a film.
+
+    Args:
+        frames: pictures of one size, each shape (height, width, 3) uint8.
+        path: file to write; its suffix decides the format, .mp4 (H.264) or .gif (endless loop).
+        fps: frames per second.
+
+    Returns:
+        The path written.
+
+    Raises:
+        InputError: unknown suffix, missing directory, or no frames.
+    """
+    import imageio.v2 as imageio
+
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        raise InputError(f"video '{path}' has suffix '{path.suffix}': {choices(path.suffix, SUFFIXES)}")
+    if not path.parent.is_dir():
+        raise InputError(f"video '{path}': directory '{path.parent}' does not exist")
+    pictures = iter(frames)
+    first = next(pictures, None)
+    if first is None:
+        raise InputError(f"video '{path}': there are no frames to write")
+    if path.suffix == ".gif":
+        options: dict[str, Any] = {"duration": 1000.0 / fps, "loop": 0}
+    else:  # H.264 wants even sides, which a macro block of 2 ensures
+        options = {"fps": fps, "codec": "libx264", "quality": 8, "macro_block_size": 2}
+    writer: Any = imageio.get_writer(path, **options)
+    with writer:
+        for picture in itertools.chain([first], pictures):
+            writer.append_data(picture)
+    return path

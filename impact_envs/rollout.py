@@ -1,0 +1,189 @@
+"""One rollout for tests, training callbacks and evaluation: a policy acts, an Episode says what happened."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from impact_envs.physics.impact import Impact
+from impact_envs.stl import Trace, robustness, satisfied
+
+
+@dataclass
+class Diagnostics:
+    """What a policy says of its own work in one episode.
+
+    Attributes:
+        solve_seconds: computing time of each control step [s].
+        fallbacks: name of a fallback to how often it was used.
+        replans: how often a plan was changed on the way.
+    """
+
+    solve_seconds: list[float] = field(default_factory=list)
+    fallbacks: Counter[str] = field(default_factory=Counter)
+    replans: int = 0
+
+
+class Policy(Protocol):
+    """Anything that acts: expert, learner, residual sum, zero, random."""
+
+    name: str
+
+    def reset(self, seed: int) -> None:
+        """Forget the last episode; all randomness of the next one comes from the seed."""
+
+    def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return each agent's action in [-1, 1]."""
+
+    def diagnostics(self) -> Diagnostics:
+        """Return what happened inside since reset."""
+
+
+class ZeroPolicy:
+    """No control at all."""
+
+    name = "zero"
+
+    def __init__(self, env: Any) -> None:
+        self._actions = {agent: np.zeros(env.action_space(agent).shape) for agent in env.possible_agents}
+
+    def reset(self, seed: int) -> None:
+        """Do nothing: there is nothing to forget."""
+
+    def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return zeros."""
+        return {agent: self._actions[agent].copy() for agent in observations}
+
+    def diagnostics(self) -> Diagnostics:
+        """Return empty diagnostics."""
+        return Diagnostics()
+
+
+class RandomPolicy:
+    """Uniform actions drawn from the episode's seed."""
+
+    name = "random"
+
+    def __init__(self, env: Any) -> None:
+        self._sizes = {agent: env.action_space(agent).shape for agent in env.possible_agents}
+        self._rng = np.random.default_rng(0)
+
+    def reset(self, seed: int) -> None:
+        """Seed the generator (apart from the world's, which has the same seed)."""
+        self._rng = np.random.default_rng([seed, 1])
+
+    def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return uniform actions."""
+        return {agent: self._rng.uniform(-1.0, 1.0, self._sizes[agent]) for agent in observations}
+
+    def diagnostics(self) -> Diagnostics:
+        """Return empty diagnostics."""
+        return Diagnostics()
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What happened in one episode; signals are true values, not measurements.
+
+    Attributes:
+        scenario, policy, seed: who did what, where.
+        period: control period [s].
+        times: shape (T+1,) [s].
+        signals: name (``pop.x``) to values, shape (T+1,).
+        actions: agent to actions in [-1, 1], shape (T, size).
+        rewards: agent to rewards, shape (T,).
+        impacts: in order of time.
+        robustness_bounds: interval of robustness still possible, shape (T+1, 2) [m].
+        robustness: of the whole formula on the true signals [m].
+        success: the formula holds.
+        effort: propulsion spent, sum of |F| dt over robots [N s].
+        solve_seconds: the policy's computing time per control step, shape (n,) [s].
+        fallbacks: the policy's fallbacks, name to count.
+        replans: how often the policy changed its plan.
+        wall_seconds: duration of the rollout [s].
+    """
+
+    scenario: str
+    policy: str
+    seed: int
+    period: float
+    times: np.ndarray
+    signals: Mapping[str, np.ndarray]
+    actions: Mapping[str, np.ndarray]
+    rewards: Mapping[str, np.ndarray]
+    impacts: tuple[Impact, ...]
+    robustness_bounds: np.ndarray
+    robustness: float
+    success: bool
+    effort: float
+    solve_seconds: np.ndarray
+    fallbacks: Mapping[str, int]
+    replans: int
+    wall_seconds: float
+
+
+def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode:
+    """Run one episode.
+
+    Args:
+        env: an ImpactEnv, or a Gymnasium environment made from one.
+        policy: who acts.
+        seed: of world and policy.
+        on_step: called with the environment after reset and every step, for example to record frames.
+
+    Returns:
+        The episode. If ``max_cycles`` cut the horizon, robustness is the lower bound of what was still possible.
+    """
+    env = getattr(env.unwrapped, "parallel", env)
+    start = time.perf_counter()
+    observations, _ = env.reset(seed=seed)
+    policy.reset(seed)
+    signals, bounds, actions, rewards = [env.signals], [env.bounds], [], []
+    impacts: list[Impact] = []
+    if on_step:
+        on_step(env)
+    while env.agents:
+        chosen = policy.act(observations)
+        observations, reward, _, _, _ = env.step(chosen)
+        signals.append(env.signals)
+        bounds.append(env.bounds)
+        actions.append(chosen)
+        rewards.append(reward)
+        impacts += env.impacts
+        if on_step:
+            on_step(env)
+    scenario, diagnostics = env.scenario, policy.diagnostics()
+    traces = {name: np.array([sample[name] for sample in signals]) for name in signals[0]}
+    rho, success = _judge(scenario, traces, bounds[-1][0])
+    return Episode(
+        scenario=scenario.name,
+        policy=policy.name,
+        seed=seed,
+        period=scenario.control_period,
+        times=np.arange(len(signals)) * scenario.control_period,
+        signals=traces,
+        actions={name: np.array([action[name] for action in actions]) for name in scenario.agents},
+        rewards={name: np.array([reward[name] for reward in rewards]) for name in scenario.agents},
+        impacts=tuple(impacts),
+        robustness_bounds=np.array(bounds),
+        robustness=rho,
+        success=success,
+        effort=env.impulse,
+        solve_seconds=np.array(diagnostics.solve_seconds),
+        fallbacks=dict(diagnostics.fallbacks),
+        replans=diagnostics.replans,
+        wall_seconds=time.perf_counter() - start,
+    )
+
+
+def _judge(scenario: Any, traces: Mapping[str, np.ndarray], lower: float) -> tuple[float, bool]:
+    """Return robustness and satisfaction of the true signals, computed apart from the online monitor."""
+    if len(next(iter(traces.values()))) <= scenario.steps:
+        return lower, lower > 0
+    trace = Trace(traces, scenario.control_period, scenario.areas, scenario.bodies)
+    return float(robustness(scenario.specification, trace)), bool(satisfied(scenario.specification, trace))

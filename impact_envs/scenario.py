@@ -1,0 +1,349 @@
+"""Scenario files: TOML read into frozen, validated tables; every error is one line.
+
+What all domains share lives here (regions, quantities drawn from the seed, overrides, suites); the tables of one
+domain live in ``impact_envs/<domain>/schema.py``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from impact_envs.errors import InputError, ScenarioError, choices
+from impact_envs.stl import Formula, parse
+
+PACKAGE = Path(__file__).parent
+DOMAINS = {"free_flyer": ("impact_envs.free_flyer.schema", "FreeFlyerScenario")}
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Vector = tuple[Finite, Finite]
+
+
+class Table(BaseModel):
+    """A TOML table: frozen, and a key it does not know is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, ignored_types=(cached_property,))
+
+
+class Uniform(Table):
+    """A quantity drawn uniformly at reset: ``{ uniform = [low, high] }``."""
+
+    uniform: Vector
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.uniform[0] > self.uniform[1]:
+            raise ValueError(f"low {self.uniform[0]:g} is above high {self.uniform[1]:g}")
+        return self
+
+
+Quantity = Finite | Uniform
+
+
+def draw(quantity: Quantity, rng: np.random.Generator) -> float:
+    """Return the number, or draw it from its distribution.
+
+    Args:
+        quantity: a number, or a distribution.
+        rng: the episode's generator; a plain number draws nothing from it.
+
+    Returns:
+        One number in the quantity's unit.
+    """
+    return float(rng.uniform(*quantity.uniform)) if isinstance(quantity, Uniform) else float(quantity)
+
+
+class Box(Table):
+    """An axis-aligned box ``lower <= p <= upper`` [m]."""
+
+    lower: Vector
+    upper: Vector
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not (self.lower[0] < self.upper[0] and self.lower[1] < self.upper[1]):
+            raise ValueError(f"lower {list(self.lower)} must be below upper {list(self.upper)} in both axes")
+        return self
+
+    @property
+    def diagonal(self) -> float:
+        """Return the length of the diagonal [m]."""
+        return math.dist(self.lower, self.upper)
+
+
+class Region(Table):
+    """A convex area: a box (``lower``, ``upper``) or a polygon (``vertices``) [m]."""
+
+    lower: Vector | None = None
+    upper: Vector | None = None
+    vertices: tuple[Vector, ...] | None = None
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        if self.vertices is None:
+            if self.lower is None or self.upper is None:
+                raise ValueError("give lower and upper, or vertices")
+            Box(lower=self.lower, upper=self.upper)
+        elif self.lower is not None or self.upper is not None:
+            raise ValueError("give either lower and upper, or vertices, not both")
+        else:
+            check_convex(self.vertices)
+        return self
+
+    @property
+    def corners(self) -> tuple[tuple[float, float], ...]:
+        """Return the corners, counter-clockwise [m]."""
+        if self.vertices is not None:
+            return self.vertices
+        assert self.lower is not None and self.upper is not None
+        (x0, y0), (x1, y1) = self.lower, self.upper
+        return ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
+
+    def halfspaces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the area as ``H p <= b`` with unit rows.
+
+        Returns:
+            H: shape (faces, 2). b: shape (faces,) [m].
+
+        Source: Verhagen & Tumova, Eq. 21.
+        """
+        corners = np.array(self.corners)
+        edges = np.roll(corners, -1, axis=0) - corners
+        H = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1, keepdims=True)
+        return H, np.sum(H * corners, axis=1)
+
+
+def check_convex(vertices: tuple[tuple[float, float], ...]) -> None:
+    """Raise unless the vertices go counter-clockwise round a strictly convex polygon.
+
+    Args:
+        vertices: corners [m].
+
+    Raises:
+        ValueError: fewer than three corners, or a corner that does not turn left.
+    """
+    if len(vertices) < 3:
+        raise ValueError(f"a polygon needs at least 3 vertices, got {len(vertices)}")
+    points = np.array(vertices)
+    edges = np.roll(points, -1, axis=0) - points
+    after = np.roll(edges, -1, axis=0)
+    turns = edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0]
+    angle = np.sum(np.arctan2(turns, np.sum(edges * after, axis=1)))
+    if np.any(turns <= 0) or not math.isclose(angle, 2 * math.pi, rel_tol=1e-6):
+        raise ValueError("vertices must go counter-clockwise round a convex polygon")
+
+
+class Scenario(Table):
+    """What every domain's scenario has: a name, a formula, a horizon, areas and mismatch suites."""
+
+    suite_file: ClassVar[Path | None] = None
+
+    name: str = ""
+    domain: str
+    description: str = ""
+    formula: str
+    horizon: Positive
+    control_period: Positive
+    regions: dict[str, Region] = {}
+    suites: dict[str, dict[str, Any]] = {}
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """Return the names of the controlled agents, in file order."""
+        raise TypeError("a domain's schema says who its agents are")
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Return the names of all bodies a formula may speak of, in canonical order."""
+        raise TypeError("a domain's schema says what its bodies are")
+
+    @property
+    def areas(self) -> Mapping[str, Region]:
+        """Return every area a formula may name."""
+        return self.regions
+
+    @property
+    def steps(self) -> int:
+        """Return the number of control periods in the horizon."""
+        return round(self.horizon / self.control_period)
+
+    @cached_property
+    def specification(self) -> Formula:
+        """Return the parsed formula."""
+        return parse(self.formula)
+
+    def as_believed(self) -> Self:
+        """Return the scenario as the expert sees it: the true physics are the believed ones."""
+        raise TypeError("a domain's schema says what is believed")
+
+    def override(self, values: Mapping[str, Any]) -> Self:
+        """Return a copy with some values replaced, validated anew.
+
+        Args:
+            values: dotted keys to values, for example ``{"true.restitution": 0.5}``.
+
+        Raises:
+            ScenarioError: an unknown key or a value that does not fit.
+        """
+        data = self.model_dump(exclude_unset=True)
+        for key, value in values.items():
+            table = data
+            *path, last = key.split(".")
+            for part in path:
+                table = table.setdefault(part, {})
+                if not isinstance(table, dict):
+                    raise ScenarioError(f"{self.name}: {key}: '{part}' is a value, not a table")
+            table[last] = value
+        return build_scenario(data, source=self.name or "scenario")
+
+    def suite_names(self) -> tuple[str, ...]:
+        """Return the names of the mismatch suites this scenario can be judged under."""
+        return tuple(self._suites())
+
+    def suite(self, name: str) -> Self:
+        """Return the scenario with a suite's true world; what the expert believes stays.
+
+        Args:
+            name: a suite, for example ``restitution``.
+
+        Raises:
+            ScenarioError: no such suite.
+        """
+        table = self._suites()
+        if name not in table:
+            raise ScenarioError(f"{self.name}: suite '{name}' is unknown; {choices(name, table)}")
+        values = dict(table[name])
+        scale = values.pop("horizon_scale", 1.0)
+        changed = self.override(values)
+        return changed if scale == 1.0 else changed.shorten(scale)
+
+    def shorten(self, scale: float) -> Self:
+        """Return the scenario with horizon and every time in the formula scaled.
+
+        Args:
+            scale: factor in (0, 1] for tighter tasks; the horizon is kept a whole number of control periods.
+        """
+        horizon = round(self.horizon * scale / self.control_period) * self.control_period
+        formula = self.specification.scale_time(horizon / self.horizon)
+        return self.override({"horizon": horizon, "formula": str(formula)})
+
+    def _suites(self) -> dict[str, dict[str, Any]]:
+        shipped = tomllib.loads(self.suite_file.read_text()) if self.suite_file else {}
+        return {**shipped, **self.suites}
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if not math.isclose(self.steps * self.control_period, self.horizon, rel_tol=1e-9):
+            raise ValueError(
+                f"horizon {self.horizon:g} is not a whole number of control periods {self.control_period:g}"
+            )
+        try:
+            formula = self.specification
+            formula.check_names(self.bodies, tuple(self.areas))
+        except InputError as error:
+            raise ValueError(f"formula: {error}") from None
+        if formula.horizon > self.horizon * (1 + 1e-9):
+            raise ValueError(f"formula: looks {formula.horizon:g} s ahead, the horizon is {self.horizon:g} s")
+        return self
+
+
+def list_scenarios() -> tuple[str, ...]:
+    """Return the names of the shipped scenarios, sorted."""
+    return tuple(sorted(path.stem for path in PACKAGE.glob("*/scenarios/*.toml")))
+
+
+def load_scenario(source: str | Path | Scenario) -> Scenario:
+    """Read a scenario.
+
+    Args:
+        source: the name of a shipped scenario, the path of a TOML file, or a Scenario (returned as it is).
+
+    Returns:
+        A frozen, validated scenario of its domain's type.
+
+    Raises:
+        ScenarioError: one line naming file, key, value and the choices.
+    """
+    if isinstance(source, Scenario):
+        return source
+    shipped = {path.stem: path for path in PACKAGE.glob("*/scenarios/*.toml")}
+    path = shipped.get(str(source), Path(source))
+    if not path.is_file():
+        if path.suffix == ".toml" or len(path.parts) > 1:
+            raise ScenarioError(f"{path}: no such scenario file; {choices(path.stem, sorted(shipped))}")
+        raise ScenarioError(f"scenario '{source}' is unknown; {choices(str(source), sorted(shipped))}")
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ScenarioError(f"{path}: not readable as TOML: {error}") from None
+    if not data:
+        raise ScenarioError(f"{path}: the file is empty; it needs at least domain, formula, horizon, control_period")
+    data.setdefault("name", path.stem)
+    return build_scenario(data, source=str(path))
+
+
+def build_scenario(data: dict[str, Any], source: str) -> Any:
+    """Validate tables read from a file or made by an override.
+
+    Args:
+        data: nested tables, as TOML gives them.
+        source: what to call the file in an error.
+
+    Raises:
+        ScenarioError: one line naming source, key, value and the choices.
+    """
+    domain = data.get("domain")
+    if domain not in DOMAINS:
+        wrong = "is missing" if domain is None else f"'{domain}' is unknown"
+        raise ScenarioError(f"{source}: domain {wrong}; {choices(str(domain), DOMAINS)}")
+    module, name = DOMAINS[domain]
+    schema = getattr(importlib.import_module(module), name)
+    try:
+        return schema.model_validate(data)
+    except ValidationError as error:
+        raise ScenarioError(f"{source}: {_one_line(error, schema)}") from None
+
+
+def _one_line(error: ValidationError, schema: type[Table]) -> str:
+    """Say the first thing wrong in the file's own words: key, value, limit and choices."""
+    first = error.errors()[0]
+    # Branch names of a union (for example 'Uniform') are ours, not keys of the file.
+    path = [str(part) for part in first["loc"] if not re.match(r"^[A-Z]|float$|function-", str(part))]
+    key = ".".join(path)
+    if first["type"] == "extra_forbidden":
+        known = _keys(schema, path[:-1])
+        where = f" in [{'.'.join(path[:-1])}]" if path[:-1] else ""
+        return f"unknown key '{path[-1]}'{where}; {choices(path[-1], known)}"
+    if first["type"] == "missing":
+        return f"{key} is missing"
+    message = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "value_error":
+        return f"{key}: {message}" if key else message
+    return f"{key} = {first['input']!r}: {message[0].lower()}{message[1:]}"
+
+
+def _keys(schema: type[Table], path: list[str]) -> list[str]:
+    """Return the keys known in the table at a path of the file."""
+    table: Any = schema
+    for part in path:
+        if isinstance(table, type) and issubclass(table, BaseModel) and part in table.model_fields:
+            table = table.model_fields[part].annotation
+            continue
+        table = getattr(table, "__args__", (None, table))[-1]
+    if not (isinstance(table, type) and issubclass(table, BaseModel)):
+        table = next(
+            (arg for arg in getattr(table, "__args__", ()) if isinstance(arg, type) and issubclass(arg, BaseModel)),
+            Table,
+        )
+    return [field.alias or name for name, field in table.model_fields.items()]

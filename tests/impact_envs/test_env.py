@@ -1,0 +1,122 @@
+"""Rewards, observations and rollouts say what they promise."""
+
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+
+import impact_envs
+from impact_envs import parallel_env, rollout
+from impact_envs.env import EFFORT_WEIGHT
+from impact_envs.free_flyer.observation import VELOCITY_WINDOW, read_observations
+from impact_envs.rollout import RandomPolicy, ZeroPolicy
+
+SHORT = impact_envs.load_scenario("throw_and_catch").override({"horizon": 5.0, "formula": "F[0,5] pop in goal"})
+
+
+def test_importing_is_light():
+    code = (
+        "import sys, impact_envs;"
+        "print([m for m in ('torch','casadi','cvxpy','numba','pygame','stable_baselines3') if m in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
+def test_rewards_add_up_to_robustness_gained_minus_effort():
+    env = parallel_env(SHORT)
+    episode = rollout(env, RandomPolicy(env), seed=5)
+    bounds = episode.robustness_bounds
+    assert np.all(np.diff(bounds[:, 0]) >= 0)
+    assert np.all(np.diff(bounds[:, 1]) <= 0)
+    assert bounds[-1, 0] == bounds[-1, 1] == pytest.approx(episode.robustness, abs=1e-12)
+    effort = sum(float(np.mean(a**2)) for agent in episode.actions.values() for a in agent)
+    total = sum(float(r.sum()) for r in episode.rewards.values())
+    middle = bounds.mean(axis=1)
+    expected = middle[-1] - middle[0] + episode.robustness - EFFORT_WEIGHT * effort
+    assert total == pytest.approx(expected, abs=1e-9)
+
+
+def test_effort_is_the_propulsion_spent():
+    env = parallel_env(SHORT)
+
+    class Full(ZeroPolicy):
+        def act(self, observations):
+            return {agent: np.array([1.0, 0.0, 0.0]) for agent in observations}
+
+    assert rollout(env, Full(env), seed=0).effort == pytest.approx(2 * 1.5 * 5.0)
+    assert rollout(env, ZeroPolicy(env), seed=0).effort == 0.0
+
+
+def test_joint_env_is_the_parallel_env_seen_as_one():
+    joint = gymnasium.make("impact_envs/ThrowAndCatch-v0")
+    parallel = parallel_env("throw_and_catch")
+    vector, _ = joint.reset(seed=4)
+    observations, _ = parallel.reset(seed=4)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        action = rng.uniform(-1, 1, 6)
+        vector, reward, *_ = joint.step(action)
+        observations, rewards, *_ = parallel.step({"snap": action[:3], "crackle": action[3:]})
+        assert reward == pytest.approx(sum(rewards.values()))
+    assert np.array_equal(vector[:7], observations["snap"][:7])
+    assert np.array_equal(vector[7:14], observations["crackle"][:7])
+    assert np.array_equal(vector[14:21], observations["snap"][14:21])
+
+
+def test_observation_reads_back_what_is_true_when_undisturbed():
+    env = parallel_env("corridor")
+    observations, _ = env.reset(seed=0)
+    for _ in range(50):
+        observations, *_ = env.step({"snap": np.array([0.3, 1.0, 0.2]), "crackle": np.array([0.0, -1.0, -0.1])})
+    read = read_observations(env.scenario, observations)
+    truth = dict(zip(env.scenario.bodies, env.model.state(), strict=True))
+    for name, state in {**read.robots, **read.objects}.items():
+        assert np.allclose(state, truth[name], atol=1e-12)
+    assert read.time == pytest.approx(5.0)
+
+
+def test_sensing_is_noisy_late_and_without_velocity():
+    scenario = impact_envs.load_scenario("throw_and_catch").suite("sensing")
+    env = parallel_env(scenario)
+    observations, _ = env.reset(seed=0)
+    push = {"snap": np.array([0.0, -1.0, 0.0]), "crackle": np.zeros(3)}
+    measured, true = [], [env.model.state()[0]]
+    for _ in range(60):
+        observations, *_ = env.step(push)
+        measured.append(read_observations(scenario, observations).robots["snap"])
+        true.append(env.model.state()[0])
+    measured, late = np.array(measured), np.array(true[:-1])
+    error = measured[:, :2] - late[:, :2]
+    assert 0.003 < error.std() < 0.007
+    # The difference quotient reports the velocity of half its window ago, noise apart.
+    ahead = slice(VELOCITY_WINDOW + 5, None)
+    lag = measured[ahead, 3] - late[ahead, 3]
+    acceleration = -1.5 / 16.8
+    assert lag.mean() == pytest.approx(-acceleration * VELOCITY_WINDOW * 0.1 / 2, abs=0.01)
+
+
+def test_contact_is_felt_by_the_robot_that_hits():
+    scenario = SHORT.override({"robots.snap.start": [0.5, 0.95]})
+    env = parallel_env(scenario)
+    env.reset(seed=0)
+    push = {"snap": np.array([0.0, 1.0, 0.0]), "crackle": np.zeros(3)}
+    for _ in range(50):
+        observations, *_ = env.step(push)
+        contact = read_observations(scenario, observations).contact
+        if env.impacts:
+            assert contact == {"snap": True, "crackle": False}
+            break
+        assert not any(contact.values())
+    else:
+        pytest.fail("the robot never hit the object")
+
+
+def test_cut_horizon_reports_what_was_still_certain():
+    env = parallel_env("corridor", max_cycles=5)
+    episode = rollout(env, ZeroPolicy(env), seed=0)
+    assert len(episode.times) == 6
+    assert episode.robustness == episode.robustness_bounds[-1, 0]
+    assert not episode.success

@@ -1,0 +1,490 @@
+"""The ``impact`` command: what users type.
+
+Every command takes a scenario name or the path of a TOML file. With ``--json`` the last line of standard output is
+one JSON object and nothing else goes there. Exit codes: 0 done, 1 the thing itself failed, 2 bad input.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json as jsonlib
+import os
+import re
+import sys
+import time
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from impact_envs.errors import InputError
+from impact_envs.scenario import Scenario, list_scenarios, load_scenario
+from planners.errors import PlanningError
+
+Position = tyro.conf.Positional
+EVALUATION_SEED = 2_000_000
+DEMO_SCENARIOS = ("throw_and_catch", "corridor")
+DEMO_POLICY = "throw_and_catch_restitution"
+
+
+@dataclass
+class List:
+    """List the shipped scenarios."""
+
+    json: bool = False
+
+    def run(self) -> dict[str, Any]:
+        """Return one entry per scenario."""
+        from impact_envs import gym_id
+
+        scenarios = [load_scenario(name) for name in list_scenarios()]
+        return {
+            "scenarios": [
+                {
+                    "name": s.name,
+                    "domain": s.domain,
+                    "gym_id": gym_id(s.name),
+                    "horizon": s.horizon,
+                    "agents": list(s.agents),
+                }
+                for s in scenarios
+            ]
+        }
+
+
+@dataclass
+class Plan:
+    """Plan a scenario, prove the plan's robustness and check it by simulation."""
+
+    scenario: Position[str]
+    """Shipped name or TOML file."""
+    objective: Literal["robustness"] = "robustness"
+    """What to maximise."""
+    max_impacts: int = 6
+    """Most impacts a plan may have."""
+    time_limit: float = 60.0
+    """Limit of the solvers [s]."""
+    out: Path | None = None
+    """Write the plan here as JSON."""
+    csv: Path | None = None
+    """Write sampled trajectories into this folder, one CSV file per body."""
+    json: bool = False
+
+    def run(self) -> dict[str, Any]:
+        """Return robustness, bound, gap, impacts and times of the plan."""
+        from planners import make_plan
+
+        scenario = load_scenario(self.scenario)
+        for path in (self.out, self.csv):
+            _check_writable(path)
+        plan = make_plan(
+            scenario, objective=self.objective, max_impacts=self.max_impacts, time_limit=self.time_limit
+        )
+        if self.out:
+            plan.save(self.out)
+        if self.csv:
+            _write_samples(plan, scenario.control_period, self.csv)
+        return {
+            "scenario": scenario.name,
+            "robustness": plan.robustness,
+            "bound": plan.bound,
+            "gap": plan.gap,
+            "effort": plan.effort,
+            "effort_bound": plan.effort_bound,
+            "impacts": [
+                {
+                    "time": hit.time,
+                    "robot": hit.robot,
+                    "object": hit.object,
+                    "position": [float(x) for x in hit.position],
+                }
+                for hit in plan.impacts
+            ],
+            "solve_seconds": plan.solve_seconds,
+            "stage_seconds": plan.stage_seconds,
+            "validated": plan.validated,
+        }
+
+
+@dataclass
+class Run:
+    """Run one episode."""
+
+    scenario: Position[str]
+    """Shipped name or TOML file."""
+    policy: str = "expert"
+    """expert, zero, random, a shipped policy or a checkpoint folder."""
+    seed: int = EVALUATION_SEED
+    """Of the whole episode."""
+    suite: str = "nominal"
+    """Mismatch suite of the true world."""
+    set: tuple[str, ...] = ()
+    """Values to change, for example true.restitution=0.5."""
+    plan: Path | None = None
+    """Execute this plan instead of planning."""
+    render: str | None = None
+    """human, or a file ending in .mp4 or .gif."""
+    json: bool = False
+
+    def run(self) -> dict[str, Any]:
+        """Return what the episode came to."""
+        from impact_envs.env import parallel_env
+        from impact_envs.rollout import rollout
+        from train.evaluate import make_policy
+
+        scenario = load_scenario(self.scenario).suite(self.suite)
+        if self.set:
+            scenario = scenario.override(dict(_assignment(text) for text in self.set))
+        if self.seed < 0:
+            raise InputError(f"seed {self.seed} is negative; choices: 0, 1, 2, ...")
+        mode = _render_mode(self.render)
+        plan = None
+        if self.plan:
+            from planners.plan import Plan as StoredPlan
+
+            plan = StoredPlan.load(self.plan)
+        policy = make_policy(self.policy, scenario, plan=plan)
+        env = parallel_env(scenario, render_mode=mode)
+        frames: list[Any] = []
+        every = max(1, round(1.0 / scenario.control_period / 10))  # ten frames per simulated second at most
+        film = None
+        if mode == "rgb_array":
+
+            def film(shown: Any) -> None:
+                if shown.steps % every == 0 or not shown.agents:
+                    frames.append(shown.render())
+
+        stored = getattr(policy, "plan", None)
+        if stored is not None:
+            import numpy as np
+
+            times = np.linspace(0.0, stored.horizon, 400)
+            for name, curve in (stored.robots | stored.objects).items():
+                env.curves[name] = np.array([curve.position(t) for t in times])
+        episode = rollout(env, policy, self.seed, on_step=film)
+        env.close()
+        if frames:
+            from impact_envs.render import save_video
+
+            save_video(frames, Path(self.render or ""), fps=30)
+        return _episode_summary(episode, self.suite)
+
+
+@dataclass
+class Train:
+    """Train a residual on top of the expert."""
+
+    scenario: Position[str]
+    """Shipped name or TOML file."""
+    suite: str = "restitution"
+    """Mismatch suite to train under."""
+    algo: Literal["ppo", "sac"] = "ppo"
+    """Learning algorithm."""
+    steps: int = 20_000
+    """Decisions to train for."""
+    out: Path = Path("runs/residual")
+    """Folder of checkpoints and logs."""
+    seed: int = 0
+    """Of training; evaluation and tuning seeds are apart from it."""
+    resume: bool = False
+    """Go on from the last checkpoint in out."""
+    json: bool = False
+
+    def run(self) -> dict[str, Any]:
+        """Return steps, folder, time and the tuning evaluation."""
+        from train.residual_free_flyer import Args, main
+
+        args = Args(
+            scenario=self.scenario,
+            suite=self.suite,
+            algo=self.algo,
+            steps=self.steps,
+            out=self.out,
+            seed=self.seed,
+            resume=self.resume,
+        )
+        return main(args)
+
+
+@dataclass
+class Evaluate:
+    """Judge policies on the same seeds."""
+
+    scenarios: Position[tuple[str, ...]]
+    """Shipped names or TOML files."""
+    policies: tuple[str, ...] = ("expert", "zero")
+    """expert, zero, random, shipped policies or checkpoint folders."""
+    episodes: int = 20
+    """Episodes per scenario, suite and policy."""
+    seed: int = EVALUATION_SEED
+    """First seed; the episodes take the following ones."""
+    suite: tuple[str, ...] = ("nominal",)
+    """Mismatch suites."""
+    workers: int = 1
+    """Processes."""
+    out: Path | None = None
+    """Folder of rows, summary and replays; a second call with it resumes."""
+    json: bool = False
+
+    def run(self) -> dict[str, Any]:
+        """Return the summary's rows and paired differences."""
+        from train.evaluate import evaluate
+
+        result = evaluate(
+            scenarios=self.scenarios,
+            policies=self.policies,
+            episodes=self.episodes,
+            seed=self.seed,
+            suites=self.suite,
+            workers=self.workers,
+            out=self.out,
+            progress=True,
+        )
+        return {"rows": result.rows, "paired": result.paired}
+
+
+@dataclass
+class Report:
+    """Write one self-contained HTML page from an evaluation."""
+
+    folder: Position[Path]
+    """Folder that impact evaluate --out wrote."""
+    json: bool = False
+
+    def run(self) -> dict[str, Any]:
+        """Return the page's path."""
+        from train.report import write_report
+
+        return {"report": str(write_report(self.folder))}
+
+
+@dataclass
+class Demo:
+    """Do the main job in small: plan, evaluate expert and learned policy, write the report."""
+
+    episodes: int = 20
+    """Episodes per scenario, suite and policy."""
+    out: Path = Path("report")
+    """Folder of the report."""
+    json: bool = False
+
+    def run(self) -> dict[str, Any]:
+        """Return the summary, the plans and the report's path."""
+        from train.evaluate import evaluate
+        from train.report import write_report
+
+        say = Console(stderr=True)
+        plans = {}
+        for name in DEMO_SCENARIOS:
+            plans[name] = Plan(name).run()
+            p = plans[name]
+            say.print(
+                f"plan of {name}: robustness {p['robustness']:.3f} m, gap {p['gap']:.3g}, "
+                f"{len(p['impacts'])} impacts, {p['solve_seconds']:.2f} s"
+            )
+        # The learned policy was trained on throw_and_catch under the restitution suite; the rest shows how it carries over.
+        result = evaluate(
+            scenarios=DEMO_SCENARIOS,
+            policies=("expert", DEMO_POLICY, "zero"),
+            episodes=self.episodes,
+            seed=EVALUATION_SEED,
+            suites=("nominal", "restitution"),
+            workers=min(2, os.cpu_count() or 1),
+            out=self.out,
+            progress=True,
+        )
+        report = write_report(self.out)
+        return {"plans": plans, "rows": result.rows, "paired": result.paired, "report": str(report)}
+
+
+Command = List | Plan | Run | Train | Evaluate | Report | Demo
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        arguments: without the program's name; those of the process if None.
+
+    Returns:
+        Exit code: 0 done, 1 the thing itself failed, 2 bad input.
+    """
+    try:
+        command = _parse(sys.argv[1:] if arguments is None else list(arguments))
+        start = time.perf_counter()
+        # Solvers and libraries may print; standard output is the result's alone.
+        with contextlib.redirect_stdout(sys.stderr):
+            result = command.run()
+        result.setdefault("wall_seconds", time.perf_counter() - start)
+    except InputError as error:
+        print(f"impact: {error}", file=sys.stderr)
+        return 2
+    except PlanningError as error:
+        print(f"impact: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("impact: interrupted; what was finished is kept", file=sys.stderr)
+        return 130
+    if command.json:
+        print(jsonlib.dumps(result, default=_plain))
+    else:
+        _show(command, result)
+    return 0
+
+
+def _parse(arguments: list[str]) -> Command:
+    """Parse arguments; tyro's boxed message becomes one line."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(Command, prog="impact", description=__doc__, args=arguments)  # type: ignore[arg-type]
+    except SystemExit as error:
+        if not error.code:
+            raise
+    lines = [re.sub(r"[^\x20-\x7e]|\x1b\[[0-9;]*m", " ", line).strip(" -+|") for line in said.getvalue().splitlines()]
+    text = " ".join(line for line in lines if line and "--help" not in line)
+    raise InputError(re.sub(r"\s+", " ", text).removeprefix("Parsing error ") or "bad arguments") from None
+
+
+def _check_writable(path: Path | None) -> None:
+    if path is not None and not path.absolute().parent.is_dir():
+        raise InputError(f"cannot write {path}: folder {path.absolute().parent} does not exist")
+
+
+def _assignment(text: str) -> tuple[str, Any]:
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise InputError(f"--set {text}: expected KEY=VALUE, for example true.restitution=0.5")
+    try:
+        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), value.strip()
+
+
+def _render_mode(render: str | None) -> Literal["human", "rgb_array"] | None:
+    if render is None:
+        return None
+    if render == "human":
+        return "human"
+    path = Path(render)
+    if path.suffix not in (".mp4", ".gif"):
+        raise InputError(f"--render {render}: choices: human, a file ending in .mp4 or .gif")
+    _check_writable(path)
+    return "rgb_array"
+
+
+def _write_samples(plan: Any, period: float, folder: Path) -> None:
+    import numpy as np
+    import pandas as pd
+
+    folder.mkdir(exist_ok=True)
+    times = np.arange(round(plan.horizon / period) + 1) * period
+    for name, curve in (plan.robots | plan.objects).items():
+        p = np.array([curve.position(t) for t in times])
+        v = np.array([curve.velocity(t) for t in times])
+        columns = {"t": times, "x": p[:, 0], "y": p[:, 1], "vx": v[:, 0], "vy": v[:, 1]}
+        pd.DataFrame(columns).to_csv(folder / f"{name}.csv", index=False)
+
+
+def _episode_summary(episode: Any, suite: str) -> dict[str, Any]:
+    import numpy as np
+
+    ms = episode.solve_seconds * 1e3
+    quantiles = {"p50": np.median(ms), "p99": np.quantile(ms, 0.99), "max": ms.max()} if len(ms) else None
+    return {
+        "scenario": episode.scenario,
+        "suite": suite,
+        "policy": episode.policy,
+        "seed": episode.seed,
+        "robustness": episode.robustness,
+        "success": episode.success,
+        "impacts": [
+            {
+                "time": hit.time,
+                "a": hit.a,
+                "b": hit.b,
+                "point": [float(x) for x in hit.point],
+                "impulse": float(np.linalg.norm(hit.impulse)),
+                "speed": hit.speed,
+            }
+            for hit in episode.impacts
+        ],
+        "effort": episode.effort,
+        "solve_ms": quantiles,
+        "fallbacks": dict(episode.fallbacks),
+        "replans": episode.replans,
+        "wall_seconds": episode.wall_seconds,
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Turn numpy values and paths into what JSON knows."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"cannot write {type(value).__name__} as JSON")
+
+
+def _show(command: Command, result: dict[str, Any]) -> None:
+    """Print a result for people."""
+    console = Console()
+    if "scenarios" in result:
+        console.print(_table(result["scenarios"]))
+    if "rows" in result:
+        console.print(_evaluation_table(result["rows"]))
+    plain = {k: v for k, v in result.items() if k not in ("scenarios", "rows", "paired", "plans")}
+    for key, value in plain.items():
+        if isinstance(value, list):
+            console.print(_table(value) if value else f"{key}: none")
+        else:
+            console.print(f"{key}: {value}", highlight=False)
+
+
+def _table(rows: Sequence[dict[str, Any]]) -> Table:
+    table = Table(*rows[0])
+    for row in rows:
+        table.add_row(*(_text(value) for value in row.values()))
+    return table
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(_text(item) for item in value)
+    return str(value)
+
+
+def _evaluation_table(rows: Sequence[dict[str, Any]]) -> Table:
+    table = Table(
+        "scenario", "suite", "policy", "episodes", "success [95 %]", "robustness median [95 %] m",
+        "effort N s", "impacts", "solve p99 ms", "fallbacks",
+    )  # fmt: skip
+    for row in rows:
+        low, high = row["success_ci"]
+        rho_low, rho_high = row["robustness_ci"]
+        p99 = (row["solve_ms"] or {}).get("p99")
+        table.add_row(
+            row["scenario"],
+            row["suite"],
+            Path(row["policy"]).name,
+            str(row["episodes"]),
+            f"{row['success_rate']:.0%} [{low:.0%}, {high:.0%}]",
+            f"{row['robustness_median']:.3f} [{rho_low:.3f}, {rho_high:.3f}]",
+            f"{row['effort_median']:.1f}",
+            f"{row['impacts_mean']:.1f}",
+            "-" if p99 is None else f"{p99:.2f}",
+            str(sum(row["fallbacks"].values())),
+        )
+    return table
+
+
+if __name__ == "__main__":
+    sys.exit(main())
