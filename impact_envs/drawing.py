@@ -80,7 +80,8 @@ def draw_line(canvas: pygame.Surface, color: Color, points: Points, width: float
             dx, dy = width / 2 * (v - y) / length, width / 2 * (u - x) / length
             corners = [(x + dx, y - dy), (x - dx, y + dy), (u - dx, v + dy), (u + dx, v - dy)]
             pygame.draw.polygon(canvas, color, corners)
-        pygame.draw.circle(canvas, color, (u, v), width / 2)
+    for point in points.tolist():
+        pygame.draw.circle(canvas, color, point, width / 2)
 
 
 def draw_dashes(canvas: pygame.Surface, color: Color, points: Points, width: float) -> None:
@@ -135,9 +136,7 @@ def write(
         anchor: one attribute of pygame.Rect and its place, for example ``midtop=(x, y)`` [px].
     """
     ink = font.render(text, True, color)
-    place = ink.get_rect(**{key: (round(x), round(y)) for key, (x, y) in anchor.items()}).clamp(
-        canvas.get_rect()
-    )
+    place = ink.get_rect(**{key: (round(x), round(y)) for key, (x, y) in anchor.items()}).clamp(canvas.get_rect())
     if halo is not None:
         rim = font.render(text, True, halo)
         canvas.blits([(rim, place.move(offset)) for offset in itertools.product((-1, 0, 1), repeat=2)])

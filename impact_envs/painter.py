@@ -178,8 +178,8 @@ class Painter:
             drawing.draw_dashes(canvas, color, self._pixels(points), 1.3 * ZOOM)
         for name, points in frame.trails.items():
             color = mix(self._colors.get(name, drawing.MUTED), 0.6)
-            keep = np.unique(np.linspace(0, len(points) - 1, TRAIL_POINTS).astype(int))
-            drawing.draw_line(canvas, color, self._pixels(np.asarray(points)[keep]), 2.5 * ZOOM)
+            recent_first = points[:: -(1 + len(points) // TRAIL_POINTS)]  # thinned, but never at the body
+            drawing.draw_line(canvas, color, self._pixels(recent_first), 2.5 * ZOOM)
 
     def _draw_body(self, canvas: pygame.Surface, shape: Shape, pose: Pose, color: Color) -> None:
         import pygame
@@ -211,7 +211,7 @@ class Painter:
                 drawing.write(picture, shape.label, font, drawing.INK, drawing.WORLD, midtop=below)
         x, y = self._pixels((self._upper[0], self._lower[1]), zoom=1)[0]
         note = f"grid {_grid_step(self._upper - self._lower):g} m"
-        drawing.write(picture, note, font, drawing.MUTED, drawing.WORLD, bottomright=(x - 4, y - 3))
+        drawing.write(picture, note, font, drawing.MUTED, drawing.WORLD, topright=(x, y + 1))
 
     def _write_fixed_label(self, picture: pygame.Surface, shape: Shape) -> None:
         """Write a label inside the upper left corner of its shape, or above where it does not fit."""

@@ -166,7 +166,7 @@ def save_video(frames: Iterable[np.ndarray], path: str | Path, fps: float) -> Pa
     import imageio.v2 as imageio
 
     path = Path(path)
-    if path.suffix not in SUFFIXES:
+    if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"video '{path}' has suffix '{path.suffix}': {choices(path.suffix, SUFFIXES)}")
     if not path.parent.is_dir():
         raise InputError(f"video '{path}': directory '{path.parent}' does not exist")
@@ -174,7 +174,7 @@ def save_video(frames: Iterable[np.ndarray], path: str | Path, fps: float) -> Pa
     first = next(pictures, None)
     if first is None:
         raise InputError(f"video '{path}': there are no frames to write")
-    if path.suffix == ".gif":
+    if path.suffix.lower() == ".gif":
         options: dict[str, Any] = {"duration": 1000.0 / fps, "loop": 0}
     else:  # H.264 wants even sides, which a macro block of 2 ensures
         options = {"fps": fps, "codec": "libx264", "quality": 8, "macro_block_size": 2}

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from impact_envs.errors import InputError, ScenarioError, choices
-from impact_envs.stl import Formula, parse
+from impact_envs.stl import RESERVED, Formula, parse
 
 PACKAGE = Path(__file__).parent
 DOMAINS = {"free_flyer": ("impact_envs.free_flyer.schema", "FreeFlyerScenario")}
@@ -248,9 +248,13 @@ class Scenario(Table):
             raise ValueError(
                 f"horizon {self.horizon:g} is not a whole number of control periods {self.control_period:g}"
             )
+        for name in (*self.bodies, *self.areas):
+            if name in RESERVED or not name.isidentifier():
+                raise ValueError(f"'{name}' cannot be named in a formula; use letters, digits and underscores")
         try:
             formula = self.specification
             formula.check_names(self.bodies, tuple(self.areas))
+            formula.reach(self.control_period)
         except InputError as error:
             raise ValueError(f"formula: {error}") from None
         if formula.horizon > self.horizon * (1 + 1e-9):
@@ -317,7 +321,8 @@ def build_scenario(data: dict[str, Any], source: str) -> Any:
 
 def _one_line(error: ValidationError, schema: type[Table]) -> str:
     """Say the first thing wrong in the file's own words: key, value, limit and choices."""
-    first = error.errors()[0]
+    # A misspelt key is also a missing one; the misspelling is what the user wants to hear of.
+    first = min(error.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
     # Branch names of a union (for example 'Uniform') are ours, not keys of the file.
     path = [str(part) for part in first["loc"] if not re.match(r"^[A-Z]|float$|function-", str(part))]
     key = ".".join(path)

@@ -21,7 +21,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from impact_envs.errors import InputError
 from impact_envs.scenario import Scenario, list_scenarios, load_scenario
@@ -92,9 +92,10 @@ class Plan:
             _write_samples(plan, scenario.control_period, self.csv)
         return {
             "scenario": scenario.name,
-            "robustness": plan.robustness,
-            "bound": plan.bound,
-            "gap": plan.gap,
+            # Solvers stop within 1e-8 of the optimum; digits beyond the sixth say nothing.
+            "robustness": round(plan.robustness, 6),
+            "bound": round(plan.bound, 6),
+            "gap": round(plan.gap, 6),
             "effort": plan.effort,
             "effort_bound": plan.effort_bound,
             "impacts": [
@@ -347,9 +348,15 @@ def _parse(arguments: list[str]) -> Command:
     except SystemExit as error:
         if not error.code:
             raise
-    lines = [re.sub(r"[^\x20-\x7e]|\x1b\[[0-9;]*m", " ", line).strip(" -+|") for line in said.getvalue().splitlines()]
-    text = " ".join(line for line in lines if line and "--help" not in line)
-    raise InputError(re.sub(r"\s+", " ", text).removeprefix("Parsing error ") or "bad arguments") from None
+    raise InputError(_one_line(said.getvalue())) from None
+
+
+def _one_line(box: str) -> str:
+    """Return the text of tyro's message box as one line."""
+    lines = [re.sub(r"\x1b\[[0-9;]*m|[^\x20-\x7e]", " ", line).strip(" -+|") for line in box.splitlines()]
+    title, *rest = [re.sub(r"\s+", " ", line) for line in lines if line and "--help" not in line] or ["bad arguments"]
+    text = " ".join(rest)
+    return text if text.lower().startswith(title.lower()) or title == "Value error" else f"{title}: {text}"
 
 
 def _check_writable(path: Path | None) -> None:
@@ -448,7 +455,7 @@ def _show(command: Command, result: dict[str, Any]) -> None:
 
 
 def _table(rows: Sequence[dict[str, Any]]) -> Table:
-    table = Table(*rows[0])
+    table = Table(*(Column(name, overflow="fold") for name in rows[0]))
     for row in rows:
         table.add_row(*(_text(value) for value in row.values()))
     return table

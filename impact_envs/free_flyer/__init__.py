@@ -1,0 +1,1 @@
+"""Free-flyers that move passive objects by impacts (Verhagen & Tumova)."""

@@ -225,9 +225,6 @@ class FreeFlyerScenario(Scenario):
         shared = set(self.robots) & set(self.objects) | set(self.regions) & set(self.obstacles)
         if shared:
             raise ValueError(f"'{sorted(shared)[0]}' names two things")
-        reserved = set(self.bodies) & {"all"}
-        if reserved:
-            raise ValueError("a body cannot be called 'all'")
         for name in self.bodies:
             self._check_inside(name)
         names = self.bodies

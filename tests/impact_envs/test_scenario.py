@@ -44,6 +44,8 @@ BAD = {
     "infinite": (CORRIDOR.replace("horizon = 100.0", "horizon = inf"), ["horizon", "inf"]),
     "formula too long": (CORRIDOR.replace("horizon = 100.0", "horizon = 90.0"), ["formula", "100", "90"]),
     "formula syntax": (CORRIDOR.replace("G[100,100] pop", "G[100,100 pop"), ["formula"]),
+    "no sample in the interval": (CORRIDOR.replace("G[100,100] pop", "F[1.01,1.02] pop"), ["formula", "1.01"]),
+    "unspeakable name": (CORRIDOR.replace("regions.goal", "regions.until"), ["until", "formula"]),
     "overlap": (CORRIDOR.replace("start = [1.0, 2.0]", "start = [1.0, 1.1]"), ["snap", "pop", "overlap"]),
     "box upside down": (CORRIDOR.replace("upper = [3.0, 10.0]", "upper = [-3.0, 10.0]", 1), ["world", "lower"]),
     "restitution above 1": (CORRIDOR.replace("restitution = 0.8", "restitution = 1.8"), ["believed.restitution", "1.8"]),

@@ -1,0 +1,137 @@
+"""Checkpoint files: safetensors and JSON, written all or nothing, read strictly and without running code."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save
+
+from impact_envs.errors import InputError, choices
+
+
+class Record(BaseModel):
+    """A JSON file of a checkpoint: frozen, strictly typed, and a key it does not know is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+R = TypeVar("R", bound=Record)
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file so that a reader sees the old content or the new, never a part.
+
+    Args:
+        path: file to write; its folder is made if missing.
+        data: the whole content.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            temporary.unlink()
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def write_record(path: Path, record: Record) -> None:
+    """Write a record as JSON, all or nothing.
+
+    Args:
+        path: file to write.
+        record: what to write.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_atomically(path, (record.model_dump_json(indent=1) + "\n").encode())
+
+
+def read_record(path: Path, schema: type[R]) -> R:
+    """Read a record and check every key of it.
+
+    Args:
+        path: JSON file.
+        schema: what it must hold.
+
+    Raises:
+        InputError: one line naming the file and the key.
+    """
+    try:
+        return schema.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "extra_forbidden":
+            raise InputError(f"{path}: unknown key '{key}'; {choices(key, schema.model_fields)}") from None
+        where = f"key '{key}': " if key else ""
+        raise InputError(f"{path}: {where}{first['msg'].removeprefix('Value error, ')}") from None
+
+
+def write_tensors(path: Path, tensors: Mapping[str, np.ndarray]) -> None:
+    """Write named arrays as safetensors, all or nothing.
+
+    Args:
+        path: file to write.
+        tensors: arrays by name.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_atomically(path, save({name: np.array(array, order="C") for name, array in tensors.items()}))
+
+
+def read_tensors(path: Path) -> dict[str, np.ndarray]:
+    """Read named arrays from a safetensors file.
+
+    Args:
+        path: file to read.
+
+    Raises:
+        InputError: the file is missing, damaged, or holds a value that is not finite.
+    """
+    try:
+        tensors = load_file(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except SafetensorError as error:
+        raise InputError(f"{path}: not a safetensors file: {error}") from None
+    for name, array in tensors.items():
+        if not np.all(np.isfinite(array)):
+            raise InputError(f"{path}: tensor '{name}' holds a value that is not finite")
+    return tensors
+
+
+def check_tensors(path: Path, tensors: Mapping[str, np.ndarray], expected: Mapping[str, np.ndarray]) -> None:
+    """Raise unless names, shapes and types of the tensors are the expected ones.
+
+    Args:
+        path: file they were read from, for the message.
+        tensors: what was read.
+        expected: arrays of the shapes and types that are wanted.
+
+    Raises:
+        InputError: one line naming the file and the tensor.
+    """
+    for name in sorted(tensors.keys() ^ expected.keys()):
+        state = "is missing" if name in expected else f"is unknown; {choices(name, expected)}"
+        raise InputError(f"{path}: tensor '{name}' {state}")
+    for name, array in expected.items():
+        given = tensors[name]
+        if given.shape != array.shape or given.dtype != array.dtype:
+            found, wanted = (f"{x.dtype} {list(x.shape)}" for x in (given, array))
+            raise InputError(f"{path}: tensor '{name}' is {found}, expected {wanted}")

@@ -1,0 +1,248 @@
+"""Bounded corrections to an expert: the environment to learn them in, and the policy that applies them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+
+from impact_envs.env import parallel_env
+from impact_envs.errors import InputError
+from impact_envs.rollout import Diagnostics, Policy
+from impact_envs.scenario import Scenario, load_scenario
+from planners import make_expert
+from planners.plan import Plan
+
+# Seeds below are for training; tuning and evaluation use higher ones.
+TRAINING_SEEDS = 1_000_000
+
+
+class CorrectableExpert(Policy, Protocol):
+    """An expert that asks for a bounded correction now and then.
+
+    A control step is ``observe(observations)``, then ``correct(correction)`` if ``awaiting_correction``, then
+    ``control()``; ``act`` is observe and control. A request left unanswered counts as zero, and zero changes
+    nothing, bit for bit.
+
+    Attributes:
+        correction_size: length of a correction.
+        feature_size: length of the features.
+    """
+
+    correction_size: int
+    feature_size: int
+
+    @property
+    def awaiting_correction(self) -> bool:
+        """Return whether the next control will use a new correction."""
+
+    def observe(self, observations: dict[str, np.ndarray]) -> None:
+        """Take this control step's measurements and decide whether a correction is awaited."""
+
+    def features(self) -> np.ndarray:
+        """Return what a learner may see: shape (feature_size,), from observations and beliefs only."""
+
+    def correct(self, correction: np.ndarray) -> None:
+        """Set the correction in [-1, 1], shape (correction_size,), until the next one is awaited."""
+
+    def control(self) -> dict[str, np.ndarray]:
+        """Return each agent's action in [-1, 1]."""
+
+
+class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """Correct an expert: one step lasts from one awaited correction to the next (semi-Markov).
+
+    Action space: ``Box(-1, 1, (correction_size,))``; zero is the expert, bit for bit. What a correction
+    changes is the expert's matter; a free-flyer's is the impulse of the coming impact, its size and its
+    direction.
+
+    Observation space: the expert's features, float64, SI units, made from measurements and beliefs only.
+
+    Rewards: ImpactEnv's, summed over agents and over the control steps in between; what comes before the
+    first awaited correction is added to the first step, so that the return is that of the whole episode.
+
+    Starting state: the first time a correction is awaited. ``reset(seed=s)`` plays episode s; without a seed
+    the episode's seed is drawn below 1,000,000 from the environment's generator, which the last given seed
+    started.
+
+    Episode end: ``terminated`` at the scenario's horizon, where the formula is decided and nothing follows
+    (the features hold the time left); ``truncated`` where ``max_cycles`` cuts earlier.
+
+    ``info`` carries ``seed`` and ``control_steps`` (in this step); at the end also ``robustness`` and
+    ``success``.
+
+    Args:
+        scenario: a shipped name, the path of a TOML file, or a Scenario.
+        suite: mismatch suite of the true world; the expert's beliefs stay.
+        plan: plan for the expert to follow; made from the believed scenario if not given.
+        expert: expert to correct; made from scenario and plan if not given.
+        render_mode: None, ``human`` or ``rgb_array``.
+        max_cycles: truncate earlier than the horizon [control periods].
+
+    Raises:
+        ScenarioError: the scenario or the suite is unknown.
+        PlanningError: the expert found no plan.
+    """
+
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 30}
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario,
+        suite: str = "nominal",
+        plan: Plan | None = None,
+        expert: CorrectableExpert | None = None,
+        render_mode: str | None = None,
+        max_cycles: int | None = None,
+    ) -> None:
+        loaded = load_scenario(scenario).suite(suite)
+        self.parallel = parallel_env(loaded, render_mode, max_cycles)
+        self.expert: CorrectableExpert = expert or make_expert(loaded, plan)
+        self.render_mode = render_mode
+        self.action_space = Box(-1.0, 1.0, (self.expert.correction_size,), np.float32)
+        self.observation_space = Box(-np.inf, np.inf, (self.expert.feature_size,), np.float64)
+        self._reward, self._steps, self._infos = 0.0, 0, dict[str, Any]()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode and run it to the first awaited correction.
+
+        Args:
+            seed: of the episode; without one it is drawn from the training seeds.
+            options: accepted for the interface, unused.
+
+        Returns:
+            Features and info.
+        """
+        super().reset(seed=seed)
+        episode = int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed
+        observations, _ = self.parallel.reset(seed=episode)
+        self.expert.reset(episode)
+        self._reward, self._steps, self._infos = 0.0, 0, {"seed": episode}
+        self.expert.observe(observations)
+        if not self.expert.awaiting_correction:
+            self._run_to_request()
+        return self.expert.features().copy(), self._infos | {"control_steps": self._steps}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Answer the awaited correction and run to the next one, or to the end.
+
+        Args:
+            action: correction in [-1, 1], shape (correction_size,).
+
+        Returns:
+            Features, reward, terminated, truncated, info. If no correction was ever awaited, the first step
+            only hands out the episode's reward.
+        """
+        if self.parallel.agents:
+            self._steps = 0
+            self.expert.correct(np.clip(np.asarray(action, dtype=float), -1.0, 1.0))
+            self._run_to_request()
+        over = not self.parallel.agents
+        terminated = over and self.parallel.steps >= self.parallel.scenario.steps
+        reward, self._reward = self._reward, 0.0
+        info = self._infos | {"control_steps": self._steps}
+        return self.expert.features().copy(), reward, terminated, over and not terminated, info
+
+    def render(self) -> np.ndarray | None:
+        """Draw the present control step; see ImpactEnv.render."""
+        return self.parallel.render()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self.parallel.close()
+
+    def _run_to_request(self) -> None:
+        """Control from an observed state until a correction is awaited or the episode is over."""
+        while True:
+            observations, rewards, _, _, infos = self.parallel.step(self.expert.control())
+            self._reward += float(sum(rewards.values()))
+            self._steps += 1
+            horizon_reached = self.parallel.steps >= self.parallel.scenario.steps
+            if not horizon_reached:
+                # Also where max_cycles cuts: a learner bootstraps there from the features.
+                self.expert.observe(observations)
+            if not self.parallel.agents:
+                final = next(iter(infos.values()))
+                self._infos |= {key: final[key] for key in ("robustness", "success")}
+                return
+            if self.expert.awaiting_correction:
+                return
+
+
+class ResidualPolicy:
+    """An expert plus learned bounded corrections.
+
+    Args:
+        expert: who acts and asks.
+        actor: map from features, shape (feature_size,), to a correction in [-1, 1], shape (correction_size,).
+        name: of the policy in episodes and tables.
+    """
+
+    def __init__(
+        self,
+        expert: CorrectableExpert,
+        actor: Callable[[np.ndarray], np.ndarray],
+        name: str = "residual",
+    ) -> None:
+        self.name, self.expert, self.actor = name, expert, actor
+
+    @classmethod
+    def load(cls, directory: str | Path, scenario: str | Path | Scenario, plan: Plan | None = None) -> ResidualPolicy:
+        """Read a checkpoint and put it on the scenario's expert.
+
+        Args:
+            directory: folder with policy.safetensors and policy.json; nothing in it is run.
+            scenario: a shipped name, the path of a TOML file, or a Scenario; only its believed part is used.
+            plan: plan for the expert to follow; made if not given.
+
+        Raises:
+            InputError: the checkpoint is broken, or does not fit this scenario's expert.
+            PlanningError: the expert found no plan.
+        """
+        # Imported here: residual environments need no torch.
+        from agents.actor import load_policy
+
+        actor, record = load_policy(directory)
+        loaded = load_scenario(scenario)
+        if record.domain != loaded.domain:
+            raise InputError(
+                f"checkpoint '{directory}' is for domain '{record.domain}', "
+                f"scenario '{loaded.name}' has domain '{loaded.domain}'"
+            )
+        expert: CorrectableExpert = make_expert(loaded, plan)
+        for key in ("feature_size", "correction_size"):
+            trained, offered = getattr(record, key), getattr(expert, key)
+            if trained != offered:
+                raise InputError(
+                    f"checkpoint '{directory}' was trained on '{record.scenario}' with {key} {trained}; "
+                    f"the expert of '{loaded.name}' has {key} {offered}"
+                )
+        return cls(expert, actor.correction, name=str(directory))
+
+    def reset(self, seed: int) -> None:
+        """Forget the last episode."""
+        self.expert.reset(seed)
+
+    def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return the expert's actions, corrected where it asks.
+
+        Args:
+            observations: each agent's observation.
+
+        Returns:
+            Each agent's action in [-1, 1].
+        """
+        self.expert.observe(observations)
+        if self.expert.awaiting_correction:
+            self.expert.correct(np.clip(self.actor(self.expert.features()), -1.0, 1.0))
+        return self.expert.control()
+
+    def diagnostics(self) -> Diagnostics:
+        """Return the expert's diagnostics."""
+        return self.expert.diagnostics()

@@ -1,0 +1,321 @@
+"""Free-flyers and objects in a planar, weightless world: exact flight, exact impacts, lasting contact.
+
+A control period is split where something happens. Between, bodies fly under constant force (``Body.fly``).
+Impacts of discs are found as roots of polynomials, those of polygons and of discs with an offset centre of
+mass by conservative steps, and obey ``physics.impact``. The forces of contacts that last are pymunk's.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from impact_envs.errors import InputError, choices
+from impact_envs.free_flyer.body import Body, make_obstacle, make_walls
+from impact_envs.free_flyer.lasting_contact import ContactSolver
+from impact_envs.free_flyer.pair import (
+    CONTACT_STEP,
+    GRAZE,
+    compute_approach,
+    compute_press,
+    find_contact,
+    find_time_of_impact,
+    is_exact,
+    part,
+)
+from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
+from impact_envs.physics.convex import Contact
+from impact_envs.physics.impact import Impact, compute_restitution, solve_contacts
+
+# An impact is the start of a lasting contact when it is slower than this [m/s], or when the bodies are
+# pressed together so that even the full rebound would end within a contact step: without such a rule, bounces
+# crowd without end.
+LOW_SPEED = 1e-4
+# Bodies this near [m] rest on each other if they close in no faster, and part no faster, than this [m/s].
+REST_GAP, REST_SPEED, PART_SPEED = 1e-5, 1e-9, 1e-6
+REST_PRESS = 1e-9  # accelerations below this are rounding [m/s^2]
+# Impacts this close in time are solved together, so that symmetric squeezes stay symmetric [s].
+SIMULTANEOUS = 1e-12
+EVENTS = 20_000  # in one control period; more means the rules above have failed
+
+Pair = tuple[int, int]
+
+
+class FreeFlyerModel:
+    """Physics of the free-flyer domain.
+
+    Robots take a force and a torque in their body frame. The force acts at the geometric centre, round which
+    the thrusters are arranged, whatever the true centre of mass. Over a control period it is held in the
+    world frame, turned by the heading that the middle of the period has in free flight. On/off thrusters make
+    pulses of force whose sum follows the command; the torque stays continuous. Solid obstacles and the
+    world's box stop bodies.
+
+    Everything that outlives a control period is plain numbers: a pickled model goes on bit for bit.
+
+    Args:
+        scenario: who is where.
+    """
+
+    def __init__(self, scenario: FreeFlyerScenario) -> None:
+        self.scenario = scenario
+        solid = {name: area for name, area in scenario.obstacles.items() if area.solid}
+        self._fixed = make_walls(scenario.world.lower, scenario.world.upper)
+        self._fixed += [make_obstacle(name, area.corners) for name, area in solid.items()]
+        movable = len(scenario.bodies)
+        self._movable_pairs = list(itertools.combinations(range(movable), 2))
+        self._faces = [(movable + k, body.faces) for k, body in enumerate(self._fixed)]
+        self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
+
+    def reset(self, physics: Physics) -> None:
+        """Put all bodies at rest at their start, in a world with these physics.
+
+        Args:
+            physics: the drawn numbers of one episode.
+        """
+        self.physics = physics
+        self._steps = 0
+        self._owed = {name: [0.0, 0.0] for name in self.scenario.robots}
+        self._bodies = [self._make_body(name) for name in self.scenario.bodies] + self._fixed
+        self._movable = self._bodies[: len(self.scenario.bodies)]
+        self._robots = {name: self._bodies[i] for i, name in enumerate(self.scenario.robots)}
+        self._masses = np.array([m for body in self._movable for m in (body.mass, body.mass, body.inertia)])
+
+    @property
+    def time(self) -> float:
+        """Return the time since reset [s]."""
+        return self._steps * self.scenario.control_period
+
+    def state(self) -> np.ndarray:
+        """Return the state of all bodies.
+
+        Returns:
+            Rows x, y, vx, vy, heading, omega in the order of ``scenario.bodies``, of the geometric centres,
+            shape (bodies, 6) [m], [m/s], [rad], [rad/s]. Headings are not wrapped.
+        """
+        rows = []
+        for body in self._movable:
+            x, y, heading = body.centre()
+            rows.append((x, y, *body.velocity_at((x, y)), heading, body.omega))
+        return np.array(rows)
+
+    def step(self, controls: Mapping[str, np.ndarray]) -> list[Impact]:
+        """Advance one control period under held controls.
+
+        Args:
+            controls: robot to its commanded body-frame force and torque (Fx, Fy, tau), shape (3,) [N], [N m];
+                clipped to the robot's limits. All robots need one.
+
+        Returns:
+            The impacts, in order of time; touches that start a lasting contact are none.
+
+        Raises:
+            InputError: a robot without control, an unknown robot, or a control that is not three finite
+                numbers.
+        """
+        if controls.keys() != self._robots.keys():
+            wrong = ", ".join(sorted(controls.keys() ^ self._robots.keys()))
+            raise InputError(
+                f"controls must name every robot once, not so: {wrong}; {choices(wrong, self._robots)}"
+            )
+        for name, control in controls.items():
+            self._actuate(name, control)
+        impacts = self._advance(self.scenario.control_period)
+        self._steps += 1
+        return impacts
+
+    def _make_body(self, name: str) -> Body:
+        table, physics = self.scenario.body(name), self.physics
+        ox, oy = (float(c) for c in physics.center_of_mass.get(name, (0.0, 0.0)))
+        drift = physics.drift.get(name, (0.0, 0.0))
+        c, s = math.cos(table.heading), math.sin(table.heading)
+        return Body(
+            name,
+            table.radius,
+            getattr(table, "vertices", None),
+            (ox, oy),
+            float(physics.masses[name]),
+            float(physics.inertias[name]),
+            x=table.start[0] + c * ox - s * oy,
+            y=table.start[1] + s * ox + c * oy,
+            heading=table.heading,
+            ax=float(drift[0]),
+            ay=float(drift[1]),
+        )
+
+    def _actuate(self, name: str, control: np.ndarray) -> None:
+        """Turn a command into the accelerations held over the coming control period."""
+        body, table, gain = self._robots[name], self.scenario.robots[name], self.physics.thruster_gain[name]
+        command = [float(u) for u in control]
+        if len(command) != 3 or not all(map(math.isfinite, command)):
+            raise InputError(f"control of {name} = {command}: three finite numbers Fx, Fy, tau are needed")
+        limits = (table.force_limit, table.force_limit, table.torque_limit)
+        command = [min(max(u, -limit), limit) for u, limit in zip(command, limits, strict=True)]
+        if self.physics.thruster_on_off:
+            command[:2] = self._quantise(name, command, table.force_limit)
+        fx, fy, tau = (float(u * gain[k, 0 if u >= 0 else 1]) for k, u in enumerate(command))
+        # The lever of the force about the true centre of mass.
+        tau -= body.offset[0] * fy - body.offset[1] * fx
+        period = self.scenario.control_period
+        body.alpha = tau / body.inertia
+        middle = body.heading + (body.omega + body.alpha * period / 4) * period / 2
+        c, s = math.cos(middle), math.sin(middle)
+        body.ax, body.ay = (c * fx - s * fy) / body.mass, (s * fx + c * fy) / body.mass
+
+    def _quantise(self, name: str, command: list[float], limit: float) -> list[float]:
+        """Return forces that are off or full, and whose sum follows the command's to half a pulse."""
+        owed, pulses = self._owed[name], []
+        for k in range(2):
+            wanted = command[k] / limit + owed[k]
+            pulse = min(max(round(wanted), -1), 1)
+            owed[k] = wanted - pulse
+            pulses.append(pulse * limit)
+        return pulses
+
+    def _advance(self, period: float) -> list[Impact]:
+        """Move all bodies through one control period, event by event."""
+        impacts: list[Impact] = []
+        solver: ContactSolver | None = None
+        held = [(body.ax, body.ay, body.alpha) for body in self._movable]
+        t = 0.0
+        for _ in range(EVENTS):
+            left = period - t
+            near = self._near_pairs(left)
+            resting, pressed = self._resting(near)
+            if pressed:
+                left = min(left, CONTACT_STEP)
+                solver = solver or ContactSolver(self._bodies, self.physics.friction)
+                solver.hold(resting, left)
+                near = self._near_pairs(left)
+            first, hits = self._first_impact(near, resting, left)
+            h = min(first, left)
+            for body in self._movable:
+                body.fly(h)
+            t = period if h == period - t else t + h
+            if hits:
+                impacts += self._collide(hits, near, self.time + t)
+            for body, acceleration in zip(self._movable, held, strict=True):
+                body.ax, body.ay, body.alpha = acceleration
+            if not hits and t >= period:
+                return impacts
+        raise RuntimeError(f"more than {EVENTS} events in the control period at {self.time:g} s")
+
+    def _near_pairs(self, h: float) -> list[Pair]:
+        """Return the pairs that could touch within h (circles round the bodies, grown by their motion)."""
+        bodies = self._bodies
+        rooms = [
+            body.reach + REST_GAP + (math.hypot(body.vx, body.vy) + math.hypot(body.ax, body.ay) * h / 2) * h
+            for body in self._movable
+        ]
+        near = [
+            (i, j)
+            for i, j in self._movable_pairs
+            if math.hypot(bodies[i].x - bodies[j].x, bodies[i].y - bodies[j].y) <= rooms[i] + rooms[j]
+        ]
+        for j, faces in self._faces:
+            for i, room in enumerate(rooms):
+                x, y = bodies[i].x, bodies[i].y
+                for px, py, nx, ny, _ in faces:
+                    if nx * (x - px) + ny * (y - py) > room:
+                        break
+                else:
+                    near.append((i, j))
+        return near
+
+    def _first_impact(self, near: list[Pair], resting: set[Pair], end: float) -> tuple[float, list[Pair]]:
+        """Return when the first impact happens, infinity if not within end, and which pairs take part."""
+        first, times = math.inf, {}
+        for pair in near:
+            a, b = self._both(pair)
+            # Centred discs cannot sink into what they rest on; a polygon can, rolling onto its next corner.
+            if pair not in resting or not is_exact(a, b):
+                times[pair] = find_time_of_impact(a, b, pair in resting, min(end, first + SIMULTANEOUS))
+                first = min(first, times[pair])
+        return first, [pair for pair, time in times.items() if time <= min(end, first + SIMULTANEOUS)]
+
+    def _both(self, pair: Pair) -> tuple[Body, Body]:
+        return self._bodies[pair[0]], self._bodies[pair[1]]
+
+    def _resting(self, near: list[Pair]) -> tuple[set[Pair], bool]:
+        """Return the pairs that rest on each other, and whether any force presses on them."""
+        resting, pressed = set(), False
+        for pair in near:
+            a, b = self._both(pair)
+            contact = find_contact(a, b)
+            if contact.gap <= REST_GAP and -PART_SPEED <= compute_approach(a, b, contact) <= REST_SPEED:
+                resting.add(pair)
+                pressed = pressed or compute_press(a, b, contact) > REST_PRESS
+        return resting, pressed
+
+    def _collide(self, hits: list[Pair], near: list[Pair], time: float) -> list[Impact]:
+        """Change velocities by the impacts of one instant and return them.
+
+        If all of them are starts of lasting contacts, everything that touches comes to rest together instead.
+        """
+        contacts = {pair: find_contact(*self._both(pair)) for pair in hits}
+        genuine = {pair: contact for pair, contact in contacts.items() if self._rebounds(pair, contact)}
+        if not genuine:
+            self._settle(contacts | {pair: find_contact(*self._both(pair)) for pair in near})
+            return []
+        speeds = {pair: compute_approach(*self._both(pair), contact) for pair, contact in genuine.items()}
+        physics = self.physics
+        restitution = {
+            pair: compute_restitution(speeds[pair], physics.restitution, physics.restitution_speed)
+            for pair in genuine
+        }
+        impulses = self._apply_impulses(genuine, restitution)
+        return [self._report(pair, genuine[pair], impulses[pair], speeds[pair], time) for pair in genuine]
+
+    def _rebounds(self, pair: Pair, contact: Contact) -> bool:
+        """Return whether an impact is more than the start of a lasting contact."""
+        press = compute_press(*self._both(pair), contact)
+        return compute_approach(*self._both(pair), contact) > max(LOW_SPEED, press * CONTACT_STEP / 2)
+
+    def _settle(self, contacts: Mapping[Pair, Contact]) -> None:
+        """Bring everything that touches to rest on each other, without restitution."""
+        touching = {
+            pair: contact
+            for pair, contact in contacts.items()
+            if contact.gap <= REST_GAP and not self._rebounds(pair, contact)
+        }
+        self._apply_impulses(touching, dict.fromkeys(touching, 0.0))
+        for pair, contact in touching.items():
+            if contact.gap < -GRAZE:
+                part(*self._both(pair), contact)
+
+    def _apply_impulses(
+        self, contacts: Mapping[Pair, Contact], restitution: Mapping[Pair, float]
+    ) -> dict[Pair, np.ndarray]:
+        """Apply simultaneous impulses; return their sum on each pair's second body, shape (2,) [N s]."""
+        entries = [
+            (pair, contact.normal, point) for pair, contact in contacts.items() for point in contact.points
+        ]
+        n = len(self._masses)
+        normals, tangents = np.zeros((len(entries), n)), np.zeros((len(entries), n))
+        for row, (pair, (nx, ny), (px, py)) in enumerate(entries):
+            for k, sign in zip(pair, (-1.0, 1.0), strict=True):
+                body = self._bodies[k]
+                if not body.fixed:
+                    rx, ry = px - body.x, py - body.y
+                    normals[row, 3 * k : 3 * k + 3] = sign * nx, sign * ny, sign * (rx * ny - ry * nx)
+                    tangents[row, 3 * k : 3 * k + 3] = -sign * ny, sign * nx, sign * (rx * nx + ry * ny)
+        v = np.array([u for body in self._movable for u in (body.vx, body.vy, body.omega)])
+        e = np.array([restitution[pair] for pair, _, _ in entries])
+        p, q = solve_contacts(normals, np.diag(self._masses), v, e, tangents, self.physics.friction)
+        v += (p @ normals + q @ tangents) / self._masses
+        for k, body in enumerate(self._movable):
+            body.vx, body.vy, body.omega = (float(u) for u in v[3 * k : 3 * k + 3])
+        sums = {pair: np.zeros(2) for pair in contacts}
+        for (pair, (nx, ny), _), along, across in zip(entries, p, q, strict=True):
+            sums[pair] += along * nx - across * ny, along * ny + across * nx
+        return sums
+
+    def _report(self, pair: Pair, contact: Contact, impulse: np.ndarray, speed: float, time: float) -> Impact:
+        a, b = self._both(pair)
+        nx, ny = contact.normal
+        if b.fixed:  # the fixed one is named first
+            a, b, nx, ny, impulse = b, a, -nx, -ny, -impulse
+        x, y = (sum(c) / len(contact.points) for c in zip(*contact.points, strict=True))
+        return Impact(time, a.name, b.name, (x, y), (nx, ny), (float(impulse[0]), float(impulse[1])), speed)

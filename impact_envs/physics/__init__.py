@@ -1,0 +1,1 @@
+"""Laws of impact and contact that every domain shares; no scenario, no environment."""

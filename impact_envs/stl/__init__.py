@@ -1,0 +1,48 @@
+"""Signal Temporal Logic: formulas as text and trees, robustness, satisfaction, an online monitor."""
+
+from impact_envs.stl.formula import (
+    SIGNALS,
+    Always,
+    And,
+    Eventually,
+    Formula,
+    Implies,
+    Not,
+    Or,
+    Temporal,
+    Until,
+)
+from impact_envs.stl.margin import AreaLike
+from impact_envs.stl.monitor import Monitor
+from impact_envs.stl.parser import RESERVED, parse
+from impact_envs.stl.predicate import ALL, Distance, In, Linear, Predicate, Speed
+from impact_envs.stl.robustness import robustness, robustness_signal
+from impact_envs.stl.satisfaction import satisfied
+from impact_envs.stl.trace import Trace
+
+__all__ = [
+    "ALL",
+    "RESERVED",
+    "SIGNALS",
+    "Always",
+    "And",
+    "AreaLike",
+    "Distance",
+    "Eventually",
+    "Formula",
+    "Implies",
+    "In",
+    "Linear",
+    "Monitor",
+    "Not",
+    "Or",
+    "Predicate",
+    "Speed",
+    "Temporal",
+    "Trace",
+    "Until",
+    "parse",
+    "robustness",
+    "robustness_signal",
+    "satisfied",
+]

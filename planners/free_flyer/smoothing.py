@@ -1,0 +1,404 @@
+"""Turn knots into motions of bodies with radii: one convex QP in true acceleration, repeated with better sides."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+from scipy import sparse
+
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners.bezier import Curve
+from planners.errors import Infeasible
+from planners.free_flyer.event_grid import Reserves, compute_mass_fractions
+from planners.free_flyer.quintic import DEGREE, LinearMap, Node, QuinticSpline, build_quintic_spline
+from planners.free_flyer.requirement import Requirement
+from planners.mixed_integer import solve_clarabel
+from planners.plan import PlannedImpact
+
+JERK_WEIGHT = 1.0  # [s^2]
+GROWTH = 0.03  # how fast robot and object must part after, and may near before, their own impact [m/s]
+SLACK_WEIGHT = 1e3
+SLACK_TOLERANCE = 1e-6  # [m]
+ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class EventSequence:
+    """Hold numbers for the events of a plan: who hits when and where.
+
+    Args:
+        times: t_0 = 0, impact times, t_{K+1} = T, shape (K+2,) [s].
+        object: name of the object.
+        path: positions of the object at these times, shape (K+2, 2) [m].
+        knots: robot name to its positions, every leg cut into n equal pieces, shape (n (K+1) + 1, 2) [m].
+        hitters: name of the robot of each impact.
+    """
+
+    times: np.ndarray
+    object: str
+    path: np.ndarray
+    knots: dict[str, np.ndarray]
+    hitters: tuple[str, ...]
+
+    def knot_times(self, count: int) -> np.ndarray:
+        """Return the times of so many knots, equally many on every leg, shape (count,) [s]."""
+        return np.interp(np.linspace(0, len(self.times) - 1, count), np.arange(len(self.times)), self.times)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    scenario: FreeFlyerScenario
+    sequence: EventSequence
+    impacts: tuple[PlannedImpact, ...]
+    needs: tuple[Requirement, ...]
+    rho: float
+    reserves: Reserves
+    times: np.ndarray
+    splines: dict[str, QuinticSpline]
+    object_points: np.ndarray  # of the object on every segment, shape (S, 6, 2)
+
+
+def compute_impacts(scenario: FreeFlyerScenario, sequence: EventSequence) -> tuple[PlannedImpact, ...]:
+    r"""Return the impacts that send the object along its path.
+
+    v_R^- = (v_O^+ - m4 v_O^-) / m3 and v_R^+ = m1 v_R^- + m2 v_O^-; the impulse is along
+    n = (v_O^+ - v_O^-) / |v_O^+ - v_O^-|, so discs touch at p_O - (r_R + r_O) n. The relative velocity
+    v_R^- - v_O^- is along n as well: Eq. (6) for discs and Eq. (5) for points then agree.
+
+    Args:
+        scenario: masses, radii and believed restitution.
+        sequence: events.
+
+    Returns:
+        One planned impact per event.
+
+    Raises:
+        Infeasible: an impact would not change the object's velocity.
+
+    Source: Verhagen & Tumova, Eqs. (5), (6).
+    """
+    body, e = scenario.objects[sequence.object], scenario.believed.restitution
+    velocities = np.diff(sequence.path, axis=0) / np.diff(sequence.times)[:, None]
+    impacts = []
+    for k, name in enumerate(sequence.hitters, start=1):
+        robot, minus, plus = scenario.robots[name], velocities[k - 1], velocities[k]
+        m1, m2, m3, m4 = compute_mass_fractions(robot.mass, body.mass, e)
+        change = float(np.linalg.norm(plus - minus))
+        if change < 1e-3:
+            raise Infeasible("impact inversion", f"impact {k} changes nothing", "allow fewer impacts")
+        normal = (plus - minus) / change
+        robot_minus = (plus - m4 * minus) / m3
+        impacts.append(
+            PlannedImpact(
+                time=float(sequence.times[k]),
+                robot=name,
+                object=sequence.object,
+                position=sequence.path[k],
+                contact=sequence.path[k] - (robot.radius + body.radius) * normal,
+                normal=normal,
+                robot_minus=robot_minus,
+                robot_plus=m1 * robot_minus + m2 * minus,
+                object_minus=minus,
+                object_plus=plus,
+            )
+        )
+    return tuple(impacts)
+
+
+def smooth_motions(
+    scenario: FreeFlyerScenario,
+    sequence: EventSequence,
+    impacts: tuple[PlannedImpact, ...],
+    needs: Sequence[Requirement],
+    rho: float,
+    reserves: Reserves,
+) -> dict[str, Curve]:
+    r"""Return the robots' curves: int |a|^2 + w |j|^2 dt is least.
+
+    Every segment's duration is a number, so velocities, accelerations and differences between bodies are
+    linear in the control points, and half-spaces on control points hold at all times. What is not convex
+    (which side to pass on) is taken from the previous round, at first from the event grid.
+
+    Args:
+        scenario: limits, radii, starts and goals.
+        sequence: events.
+        impacts: from `compute_impacts`.
+        needs: requirements of the formula and of solid obstacles.
+        rho: robustness to keep in them [m].
+        reserves: clearances.
+
+    Returns:
+        Robot name to its curve.
+
+    Raises:
+        Infeasible: some distance, area or limit cannot be kept.
+    """
+    problem = _build_problem(scenario, sequence, impacts, tuple(needs), rho, reserves)
+    points = {name: _interpolate_knots(problem, name) for name in scenario.robots}
+    worst = np.inf
+    for _ in range(ROUNDS):
+        before, (points, worst) = worst, _solve_round(problem, points)
+        if max(before, worst) <= SLACK_TOLERANCE:
+            break
+    if worst > SLACK_TOLERANCE:
+        remedy = "allow more impacts or a longer horizon"
+        raise Infeasible("smoothing", f"a distance is {worst:.3g} m short", remedy)
+    return {name: Curve(problem.times, points[name]) for name in points}
+
+
+def make_object_curve(sequence: EventSequence) -> Curve:
+    """Return the object's curve: straight and uniform between events.
+
+    Args:
+        sequence: events.
+
+    Returns:
+        A curve of degree 1.
+    """
+    return Curve(sequence.times, np.stack([sequence.path[:-1], sequence.path[1:]], axis=1))
+
+
+def _build_problem(
+    scenario: FreeFlyerScenario,
+    sequence: EventSequence,
+    impacts: tuple[PlannedImpact, ...],
+    needs: tuple[Requirement, ...],
+    rho: float,
+    reserves: Reserves,
+) -> _Problem:
+    windows = [t for need in needs if need.body in scenario.robots for t in (need.start, need.end)]
+    times = _make_breakpoints(sequence.times, windows)
+    splines = {name: _make_spline(scenario, times, impacts, name) for name in scenario.robots}
+    moments = next(iter(splines.values())).greville()
+    path = make_object_curve(sequence).position(moments)
+    object_points = path.reshape(-1, DEGREE + 1, 2)
+    return _Problem(scenario, sequence, impacts, needs, rho, reserves, times, splines, object_points)
+
+
+def _make_breakpoints(events: np.ndarray, windows: Sequence[float]) -> np.ndarray:
+    """Return breakpoints, dense near events, where velocities turn."""
+    times = [0.0]
+    for start, end in itertools.pairwise(events):
+        count = int(np.clip(np.ceil((end - start) / 3.0), 4, 14))
+        times += [*(start + (end - start) * (1 - np.cos(np.pi * np.arange(1, count) / count)) / 2), end]
+    grid = np.array(times)
+    extra = [t for t in windows if np.abs(grid - t).min() > 0.1]
+    return np.unique(np.concatenate([grid, extra]))
+
+
+def _make_spline(
+    scenario: FreeFlyerScenario, times: np.ndarray, impacts: Sequence[PlannedImpact], name: str
+) -> QuinticSpline:
+    robot, rest = scenario.robots[name], (np.zeros(2), np.zeros(2))
+    nodes = {
+        0: Node(np.array(robot.start), rest),
+        len(times) - 1: Node(None if robot.goal is None else np.array(robot.goal), rest),
+    }
+    for impact in impacts:
+        if impact.robot == name:
+            j = int(np.flatnonzero(times == impact.time)[0])
+            nodes[j] = Node(impact.contact, (impact.robot_minus, impact.robot_plus))
+    return build_quintic_spline(times, nodes)
+
+
+def _interpolate_knots(problem: _Problem, name: str) -> np.ndarray:
+    moments = problem.splines[name].greville()
+    knots = problem.sequence.knots[name]
+    times = problem.sequence.knot_times(len(knots))
+    points = np.stack([np.interp(moments, times, knots[:, d]) for d in range(2)], axis=1)
+    return points.reshape(-1, DEGREE + 1, 2)
+
+
+class _Rows:
+    """Collect rows a . x <= b as triplets, soft ones with a slack variable per segment."""
+
+    def __init__(self, splines: dict[str, QuinticSpline]) -> None:
+        sizes = [2 * spline.size for spline in splines.values()]
+        self.starts = dict(zip(splines, np.cumsum([0, *sizes[:-1]]), strict=True))
+        self.size = sum(sizes)
+        self.slacks = 0
+        self._height = 0
+        self._triplets: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self._bounds: list[np.ndarray] = []
+
+    def add(
+        self, parts: Sequence[tuple[str, LinearMap, np.ndarray]], limits: np.ndarray, soft: bool = False
+    ) -> None:
+        """Add sum over parts of normals . (control points) <= limits; infinite limits make no rows.
+
+        Args:
+            parts: robot, its map, and one normal per control point, shape (m, 2).
+            limits: shape (m,).
+            soft: whether a segment's six rows may be violated together, at a price.
+        """
+        bounds = limits.copy()
+        for name, part, normals in parts:
+            bounds -= np.sum(normals * part.constant, axis=1)
+            row, column, value = part.triplets
+            for axis in range(2):
+                columns = self.starts[name] + axis * part.matrix.shape[1] + column
+                self._triplets.append((self._height + row, columns, value * normals[row, axis]))
+        if soft:
+            row = np.arange(len(bounds))
+            columns = self.size + self.slacks + row // (DEGREE + 1)
+            self._triplets.append((self._height + row, columns, np.full(len(row), -1.0)))
+            self.slacks += len(bounds) // (DEGREE + 1)
+        self._bounds.append(bounds)
+        self._height += len(bounds)
+
+    def stack(self) -> tuple[sparse.csc_matrix, np.ndarray]:
+        """Return all rows A, b, and that no slack is negative."""
+        row, column, value = (np.concatenate(arrays) for arrays in zip(*self._triplets, strict=True))
+        below = np.arange(self.slacks)
+        row = np.concatenate([row, self._height + below])
+        column = np.concatenate([column, self.size + below])
+        value = np.concatenate([value, np.full(self.slacks, -1.0)])
+        bounds = np.concatenate([*self._bounds, np.zeros(self.slacks)])
+        index = np.cumsum(np.isfinite(bounds)) - 1
+        keep = np.isfinite(bounds)[row] & (value != 0.0)
+        shape = (int(index[-1]) + 1, self.size + self.slacks)
+        matrix = sparse.csc_matrix((value[keep], (index[row[keep]], column[keep])), shape=shape)
+        return matrix, bounds[np.isfinite(bounds)]
+
+
+def _solve_round(problem: _Problem, points: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], float]:
+    """Solve the QP with the sides read off the previous points; returns new points and the largest slack."""
+    splines = problem.splines
+    rows = _Rows(splines)
+    for name in splines:
+        _add_limits(rows, problem, name)
+        _add_areas(rows, problem, name, points[name])
+        _add_object_clearance(rows, problem, name, points[name])
+    for first, second in itertools.combinations(splines, 2):
+        _add_robot_clearance(rows, problem, first, second, points)
+    A, b = rows.stack()
+    P, q = _make_cost(splines, rows.slacks)
+    x = solve_clarabel("smoothing", P, q, A, b, [clarabel.NonnegativeConeT(len(b))])
+    found = {}
+    for name, spline in splines.items():
+        states = x[rows.starts[name] :][: 2 * spline.size].reshape(2, -1).T
+        found[name] = spline.position.apply(states).reshape(-1, DEGREE + 1, 2)
+    slack = x[rows.size :]
+    return found, float(slack.max()) if len(slack) else 0.0
+
+
+def _make_cost(splines: dict[str, QuinticSpline], slacks: int) -> tuple[sparse.csc_matrix, np.ndarray]:
+    # Accelerations are some 0.01 m/s^2; a factor brings the cost near 1, where the solver's tolerances fit.
+    blocks, linear = [], []
+    for spline in splines.values():
+        quadratic, slope = spline.cost(JERK_WEIGHT)
+        blocks += [100.0 * quadratic, 100.0 * quadratic]
+        linear += [100.0 * slope[:, 0], 100.0 * slope[:, 1]]
+    blocks.append(sparse.csc_matrix((slacks, slacks)))
+    P = sparse.triu(sparse.block_diag(blocks), format="csc")
+    return P, np.concatenate([*linear, np.full(slacks, SLACK_WEIGHT)])
+
+
+def _add_limits(rows: _Rows, problem: _Problem, name: str) -> None:
+    robot, spline = problem.scenario.robots[name], problem.splines[name]
+    fastest, strongest = robot.speed_limit, problem.reserves.acceleration(robot)
+    for part, limit in ((spline.velocity, fastest), (spline.acceleration, strongest)):
+        for axis, sign in itertools.product(range(2), (1.0, -1.0)):
+            normals = np.zeros((part.matrix.shape[0], 2))
+            normals[:, axis] = sign
+            rows.add([(name, part, normals)], np.full(len(normals), limit))
+
+
+def _add_areas(rows: _Rows, problem: _Problem, name: str, points: np.ndarray) -> None:
+    """Keep the robot inside the world, inside areas to stay in and beyond one face of areas to avoid."""
+    scenario, times = problem.scenario, problem.times
+    robot = scenario.robots[name]
+    lower, upper = np.array(scenario.world.lower), np.array(scenario.world.upper)
+    for axis, sign in itertools.product(range(2), (1.0, -1.0)):
+        normals = np.zeros((len(points), DEGREE + 1, 2))
+        normals[..., axis] = sign
+        edge = upper[axis] if sign > 0 else -lower[axis]
+        ends = [robot.start[axis], robot.start[axis] if robot.goal is None else robot.goal[axis]]
+        inset = min(robot.radius + problem.reserves.wall, edge - max(sign * end for end in ends))
+        _add_halfspaces(rows, problem, name, normals, np.full(normals.shape[:2], edge - inset))
+    for need in problem.needs:
+        if need.body != name:
+            continue
+        active = (times[1:] > need.start) & (times[:-1] < need.end)
+        if need.start == need.end:
+            active = (times[1:] >= need.start) & (times[:-1] <= need.end)
+        if need.kind == "stay":
+            for face, bound in zip(need.faces, need.bounds, strict=True):
+                normals = np.broadcast_to(face, points.shape)
+                limit = np.where(active, bound - problem.rho, np.inf)
+                _add_halfspaces(rows, problem, name, normals, np.repeat(limit[:, None], DEGREE + 1, axis=1))
+        else:
+            beyond = points @ need.faces.T - need.bounds
+            chosen = beyond.min(axis=1).argmax(axis=1)
+            normals = np.broadcast_to(-need.faces[chosen][:, None, :], points.shape)
+            limit = np.where(active, -need.bounds[chosen] - need.margin(problem.rho), np.inf)
+            _add_halfspaces(rows, problem, name, normals, np.repeat(limit[:, None], DEGREE + 1, axis=1))
+
+
+def _add_halfspaces(
+    rows: _Rows, problem: _Problem, name: str, normals: np.ndarray, limits: np.ndarray
+) -> None:
+    """Add normals . p <= limits on control points, soft."""
+    rows.add([(name, problem.splines[name].position, normals.reshape(-1, 2))], limits.ravel(), soft=True)
+
+
+def _add_object_clearance(rows: _Rows, problem: _Problem, name: str, points: np.ndarray) -> None:
+    """Keep the robot off the object, at contact distance only at its own impacts."""
+    scenario, sequence = problem.scenario, problem.sequence
+    own = [impact for impact in problem.impacts if impact.robot == name]
+    touching = scenario.robots[name].radius + scenario.objects[sequence.object].radius
+    normals = _sides(problem.object_points - points)
+    for impact in own:
+        for segment in np.flatnonzero((problem.times[:-1] == impact.time) | (problem.times[1:] == impact.time)):
+            normals[segment] = impact.normal
+    anchors = [(impact.time, touching, _parting_speed(scenario, impact)) for impact in own]
+    anchors += _fixed_ends(problem, sequence.path, sequence.knots[name])
+    wanted = _distance_profile(problem, name, touching + problem.reserves.clearance, anchors)
+    limits = np.sum(normals * problem.object_points, axis=2) - wanted
+    _add_halfspaces(rows, problem, name, normals, limits)
+
+
+def _add_robot_clearance(
+    rows: _Rows, problem: _Problem, first: str, second: str, points: dict[str, np.ndarray]
+) -> None:
+    robots, sequence = problem.scenario.robots, problem.sequence
+    wanted = robots[first].radius + robots[second].radius + problem.reserves.clearance
+    anchors = _fixed_ends(problem, sequence.knots[first], sequence.knots[second])
+    normals = _sides(points[second] - points[first]).reshape(-1, 2)
+    parts = [(name, problem.splines[name].position, sign * normals) for name, sign in ((first, 1), (second, -1))]
+    rows.add(parts, -_distance_profile(problem, first, wanted, anchors).ravel(), soft=True)
+
+
+def _sides(relative: np.ndarray) -> np.ndarray:
+    """Return one unit direction per segment, repeated for its control points; relative: shape (S, 6, 2)."""
+    middle = relative.mean(axis=1)
+    length = np.linalg.norm(middle, axis=1, keepdims=True)
+    unit = np.where(length > 1e-9, middle / np.maximum(length, 1e-9), [1.0, 0.0])
+    return np.repeat(unit[:, None, :], DEGREE + 1, axis=1)
+
+
+def _parting_speed(scenario: FreeFlyerScenario, impact: PlannedImpact) -> float:
+    """Return how fast the distance has to grow from an impact: never faster than the bodies really part."""
+    approach = float((impact.robot_minus - impact.object_minus) @ impact.normal)
+    return min(GROWTH, 0.5 * scenario.believed.restitution * approach)
+
+
+def _fixed_ends(problem: _Problem, one: np.ndarray, other: np.ndarray) -> list[tuple[float, float, float]]:
+    """Return the distances at the ends of the horizon as anchors, for they may be below what is wanted."""
+    ends = ((problem.times[0], 0), (problem.times[-1], -1))
+    return [(float(t), float(np.linalg.norm(one[k] - other[k])), GROWTH) for t, k in ends]
+
+
+def _distance_profile(
+    problem: _Problem, name: str, wanted: float, anchors: Sequence[tuple[float, float, float]]
+) -> np.ndarray:
+    """Return the least distance at every control point, shape (S, 6): it grows away from (time, distance, rate)."""
+    moments = problem.splines[name].greville()
+    profile = np.full(len(moments), wanted)
+    for time, distance, rate in anchors:
+        profile = np.minimum(profile, distance + rate * np.abs(moments - time))
+    return profile.reshape(-1, DEGREE + 1)

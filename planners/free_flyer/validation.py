@@ -1,0 +1,226 @@
+"""An independent simulation of a plan: curves are evaluated, objects move by the impact law alone.
+
+Nothing of the planner is used: velocities are finite differences of positions, impacts follow from where the
+bodies are, the formula is evaluated on samples.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.stl import Trace, robustness
+from planners.bezier import Curve
+from planners.errors import SolverFailed
+from planners.plan import Plan, PlannedImpact
+
+SUBSTEPS = 5  # samples per control period: 20 ms at 10 Hz
+DIFFERENCE = 1e-4  # step of one-sided velocity differences [s]
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """Hold how far a simulated plan may be from its promises.
+
+    Args:
+        position: of objects and contacts [m].
+        velocity: after impacts, and at the ends [m/s].
+        clearance: by which bodies may be nearer than touching [m].
+        robustness: by which the sampled formula may fall short [m].
+        share: by which speed and force limits may be exceeded.
+    """
+
+    position: float = 1e-4
+    velocity: float = 1e-5
+    clearance: float = 1e-6
+    robustness: float = 1e-2
+    share: float = 1e-6
+
+
+def check_plan(scenario: FreeFlyerScenario, plan: Plan, tolerances: Tolerances = Tolerances()) -> float:  # noqa: B008
+    """Simulate a plan and raise unless it keeps what it promises.
+
+    Args:
+        scenario: believed physics, limits and formula.
+        plan: any plan for its robots and objects.
+        tolerances: how far it may be off.
+
+    Returns:
+        Robustness of the formula over the simulated centres of all bodies [m].
+
+    Raises:
+        SolverFailed: a promise is broken; the status says which one.
+
+    Source: Verhagen & Tumova, Eqs. (2), (6), (9).
+    """
+    count = round(scenario.horizon / scenario.control_period) * SUBSTEPS
+    times = np.arange(count + 1) * (scenario.control_period / SUBSTEPS)
+    robots = {name: plan.robots[name].position(times) for name in scenario.robots}
+    objects = {name: _simulate_object(scenario, plan, name, times, tolerances) for name in scenario.objects}
+    _check_ends(scenario, plan, objects, tolerances)
+    _check_motion(scenario, plan, times, robots, tolerances)
+    _check_distances(scenario, times, robots | objects, tolerances)
+    rho = compute_robustness(scenario, times, robots | objects)
+    if rho < plan.robustness - tolerances.robustness:
+        _reject(f"robustness is {rho:.6g} m, promised {plan.robustness:.6g} m")
+    return rho
+
+
+def compute_robustness(
+    scenario: FreeFlyerScenario, times: np.ndarray, positions: dict[str, np.ndarray]
+) -> float:
+    """Return the robustness of the scenario's formula over sampled centres.
+
+    Args:
+        scenario: formula and areas.
+        times: samples, uniformly spaced, shape (n,) [s].
+        positions: of every body, each shape (n, 2) [m].
+
+    Returns:
+        Robustness [m].
+    """
+    step = times[1] - times[0]
+    signals = {}
+    for name, points in positions.items():
+        velocity = np.gradient(points, step, axis=0)
+        columns = {"x": points[:, 0], "y": points[:, 1], "vx": velocity[:, 0], "vy": velocity[:, 1]}
+        columns |= {"heading": np.full(len(times), scenario.body(name).heading), "omega": np.zeros(len(times))}
+        signals |= {f"{name}.{signal}": values for signal, values in columns.items()}
+    trace = Trace(signals, step, scenario.areas, scenario.bodies)
+    return float(robustness(scenario.specification, trace))
+
+
+def _simulate_object(
+    scenario: FreeFlyerScenario, plan: Plan, name: str, times: np.ndarray, tolerances: Tolerances
+) -> np.ndarray:
+    """Fly the object from its start at rest through the impacts; returns its positions, shape (n, 2)."""
+    position, velocity, now = np.array(scenario.objects[name].start), np.zeros(2), 0.0
+    found = np.empty((len(times), 2))
+    for impact in [*(impact for impact in plan.impacts if impact.object == name), None]:
+        until = plan.horizon if impact is None else impact.time
+        here = (times >= now) & (times <= until)
+        found[here] = position + velocity * (times[here, None] - now)
+        position, now = position + velocity * (until - now), until
+        if impact is not None:
+            velocity = _hit(scenario, plan, impact, position, velocity, tolerances)
+    off = float(np.abs(found - plan.objects[name].position(times)).max())
+    if off > tolerances.position:
+        _reject(f"{name} leaves its curve by {off:.3g} m")
+    if scenario.objects[name].rest and np.abs(velocity).max() > tolerances.velocity:
+        _reject(f"{name} still moves at the end")
+    return found
+
+
+def _hit(
+    scenario: FreeFlyerScenario,
+    plan: Plan,
+    impact: PlannedImpact,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    tolerances: Tolerances,
+) -> np.ndarray:
+    """Return the object's velocity after an impact of discs without friction; checks the robot's curve too."""
+    robot, body = scenario.robots[impact.robot], scenario.objects[impact.object]
+    curve, who = plan.robots[impact.robot], f"impact of {impact.robot} at {impact.time:g} s"
+    offset = position - curve.position(impact.time)
+    distance = float(np.linalg.norm(offset))
+    normal = offset / distance
+    if abs(distance - robot.radius - body.radius) > tolerances.position:
+        _reject(f"{who}: bodies are {distance:.6g} m apart, not in contact")
+    before, after = _difference(curve, impact.time, -1), _difference(curve, impact.time, 1)
+    approach = float((before - velocity) @ normal)
+    if approach <= 0.0:
+        _reject(f"{who}: bodies do not approach")
+    reduced = robot.mass * body.mass / (robot.mass + body.mass)
+    impulse = (1.0 + scenario.believed.restitution) * reduced * approach * normal
+    robot_off = float(np.abs(before - impulse / robot.mass - after).max())
+    plus = velocity + impulse / body.mass
+    stated = [(impact.robot_minus, before), (impact.robot_plus, after)]
+    stated += [(impact.object_minus, velocity), (impact.object_plus, plus)]
+    stated_off = max(float(np.abs(told - real).max()) for told, real in stated)
+    places = [(impact.position, position), (impact.contact, curve.position(impact.time)), (impact.normal, normal)]
+    place_off = max(float(np.abs(told - real).max()) for told, real in places)
+    if robot_off > tolerances.velocity:
+        _reject(f"{who}: the robot's velocity after it is off by {robot_off:.3g} m/s")
+    if stated_off > tolerances.velocity or place_off > tolerances.position:
+        _reject(f"{who}: its table is off by {stated_off:.3g} m/s and {place_off:.3g} m")
+    return plus
+
+
+def _difference(curve: Curve, time: float, side: int) -> np.ndarray:
+    """Return the one-sided velocity at a time by a three-point difference of second order."""
+    h = side * DIFFERENCE
+    here, near, far = (curve.position(time + k * h, side="left" if side < 0 else "right") for k in range(3))
+    return (4.0 * near - 3.0 * here - far) / (2.0 * h)
+
+
+def _check_ends(
+    scenario: FreeFlyerScenario, plan: Plan, objects: dict[str, np.ndarray], tolerances: Tolerances
+) -> None:
+    if plan.horizon != scenario.horizon:
+        _reject(f"it spans {plan.horizon:g} s, the scenario {scenario.horizon:g} s")
+    for name, robot in scenario.robots.items():
+        curve = plan.robots[name]
+        for time, place, side in ((0.0, robot.start, 1), (plan.horizon, robot.goal, -1)):
+            speed = float(np.abs(_difference(curve, time, side)).max())
+            off = 0.0 if place is None else float(np.abs(curve.position(time) - place).max())
+            if off > tolerances.position or speed > tolerances.velocity:
+                _reject(f"{name} at {time:g} s is off by {off:.3g} m and moves at {speed:.3g} m/s")
+
+
+def _check_motion(
+    scenario: FreeFlyerScenario,
+    plan: Plan,
+    times: np.ndarray,
+    robots: dict[str, np.ndarray],
+    tolerances: Tolerances,
+) -> None:
+    """Check speed and thrust by differences of samples; velocities may jump at own impacts only."""
+    step = times[1] - times[0]
+    for name, points in robots.items():
+        robot = scenario.robots[name]
+        velocity = np.diff(points, axis=0) / step
+        fastest = float(np.abs(velocity).max())
+        if fastest > robot.speed_limit * (1 + tolerances.share):
+            _reject(f"{name} reaches {fastest:.3g} m/s, its limit is {robot.speed_limit:g} m/s")
+        force = robot.mass * np.linalg.norm(np.diff(velocity, axis=0) / step, axis=1)
+        own = [impact.time for impact in plan.impacts if impact.robot == name]
+        free = np.all([np.abs(times[1:-1] - time) > 1.5 * step for time in own], axis=0)
+        strongest = float(force[free].max() if own else force.max())
+        if strongest > robot.force_limit * (1 + tolerances.share):
+            _reject(f"{name} needs {strongest:.3g} N, its limit is {robot.force_limit:g} N")
+    for name, body in scenario.objects.items():
+        fastest = float(np.abs(np.diff(plan.objects[name].position(times), axis=0)).max() / step)
+        if fastest > body.speed_limit * (1 + tolerances.share):
+            _reject(f"{name} reaches {fastest:.3g} m/s, its limit is {body.speed_limit:g} m/s")
+
+
+def _check_distances(
+    scenario: FreeFlyerScenario, times: np.ndarray, positions: dict[str, np.ndarray], tolerances: Tolerances
+) -> None:
+    lower, upper = np.array(scenario.world.lower), np.array(scenario.world.upper)
+    for name, points in positions.items():
+        radius = scenario.body(name).radius
+        inside = np.minimum(points - lower, upper - points).min(axis=1) - radius
+        _check_gap(f"{name} and the world's edge", times, inside, tolerances)
+        for area, obstacle in scenario.obstacles.items():
+            if obstacle.solid:
+                H, b = obstacle.halfspaces()
+                _check_gap(f"{name} and {area}", times, (points @ H.T - b).max(axis=1) - radius, tolerances)
+    for first, second in itertools.combinations(positions, 2):
+        touching = scenario.body(first).radius + scenario.body(second).radius
+        apart = np.linalg.norm(positions[first] - positions[second], axis=1) - touching
+        _check_gap(f"{first} and {second}", times, apart, tolerances)
+
+
+def _check_gap(who: str, times: np.ndarray, gap: np.ndarray, tolerances: Tolerances) -> None:
+    worst = int(gap.argmin())
+    if gap[worst] < -tolerances.clearance:
+        _reject(f"{who} overlap by {-gap[worst]:.3g} m at {times[worst]:g} s")
+
+
+def _reject(reason: str) -> None:
+    raise SolverFailed("plan check", reason, "change the reserves or the number of impacts")

@@ -1,0 +1,321 @@
+"""Mixed-integer linear models written row by row, with interval big-M, solved by HiGHS; cones by Clarabel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import clarabel
+import highspy
+import numpy as np
+from scipy import sparse
+
+from planners.errors import Infeasible, SolverFailed
+
+
+class Affine:
+    """Hold an affine expression sum_i c_i x_i + constant of model variables."""
+
+    __slots__ = ("coefficients", "constant")
+
+    def __init__(self, coefficients: dict[int, float], constant: float = 0.0) -> None:
+        self.coefficients = coefficients
+        self.constant = constant
+
+    def __add__(self, other: Affine | float) -> Affine:
+        if not isinstance(other, Affine):
+            return Affine(self.coefficients, self.constant + float(other))
+        total = dict(self.coefficients)
+        for i, c in other.coefficients.items():
+            total[i] = total.get(i, 0.0) + c
+        return Affine(total, self.constant + other.constant)
+
+    def __mul__(self, factor: float) -> Affine:
+        factor = float(factor)
+        return Affine({i: c * factor for i, c in self.coefficients.items()}, self.constant * factor)
+
+    def __neg__(self) -> Affine:
+        return self * -1.0
+
+    def __sub__(self, other: Affine | float) -> Affine:
+        return self + other * -1.0
+
+    def __rsub__(self, other: float) -> Affine:
+        return self * -1.0 + other
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def value(self, x: np.ndarray) -> float:
+        """Return the expression's value at a point, shape (n,)."""
+        return self.constant + sum(c * x[i] for i, c in self.coefficients.items())
+
+
+def evaluate(expressions: object, x: np.ndarray) -> np.ndarray:
+    """Return the values of nested expressions and numbers at a point.
+
+    Args:
+        expressions: Affine, number, or nested sequence of them.
+        x: the point, shape (n,).
+
+    Returns:
+        Values, in the shape of the expressions.
+    """
+    array = np.array(expressions, dtype=object)
+    flat = [entry.value(x) if isinstance(entry, Affine) else float(entry) for entry in array.flat]
+    return np.array(flat).reshape(array.shape)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Hold what a solver returned.
+
+    Args:
+        x: the point, shape (n,).
+        objective: its objective, to be minimised.
+        bound: proven lower bound of the objective.
+    """
+
+    x: np.ndarray
+    objective: float
+    bound: float
+
+
+@dataclass
+class Model:
+    """Collect variables, rows and a linear objective to be minimised.
+
+    Args:
+        name: what failures call the problem.
+    """
+
+    name: str
+    lower: list[float] = field(default_factory=list)
+    upper: list[float] = field(default_factory=list)
+    integer: list[bool] = field(default_factory=list)
+    inequalities: list[Affine] = field(default_factory=list)
+    equalities: list[Affine] = field(default_factory=list)
+    objective: Affine = field(default_factory=lambda: Affine({}))
+
+    def variable(self, lower: float, upper: float, integer: bool = False) -> Affine:
+        """Add a variable between finite bounds and return it as an expression."""
+        self.lower.append(float(lower))
+        self.upper.append(float(upper))
+        self.integer.append(integer)
+        return Affine({len(self.lower) - 1: 1.0})
+
+    def binary(self) -> Affine:
+        """Add a variable that is 0 or 1."""
+        return self.variable(0.0, 1.0, integer=True)
+
+    def vector(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        """Add one variable per entry of the bounds; returns an object array of their shape."""
+        return np.array([self.variable(a, b) for a, b in zip(lower, upper, strict=True)], dtype=object)
+
+    def limits(self, expression: Affine | float) -> tuple[float, float]:
+        """Return the interval of an expression over the bounds of its variables."""
+        if not isinstance(expression, Affine):
+            return float(expression), float(expression)
+        low = high = expression.constant
+        for i, c in expression.coefficients.items():
+            low += c * (self.lower[i] if c > 0 else self.upper[i])
+            high += c * (self.upper[i] if c > 0 else self.lower[i])
+        return low, high
+
+    def require(self, expression: Affine | float, unless: Affine | float = 0.0) -> None:
+        """Add the row expression <= M * unless, where M is the largest value the expression can take.
+
+        The row binds when `unless` is 0; it is dropped when the variable bounds imply it.
+
+        Args:
+            expression: what must not be positive.
+            unless: 0 where the row must hold, at least 1 where it must not bind.
+
+        Raises:
+            Infeasible: the row cannot hold and nothing relaxes it.
+        """
+        low, high = self.limits(expression)
+        if high <= 1e-12:
+            return
+        row = expression - unless * high
+        if isinstance(row, Affine) and row.coefficients:
+            self.inequalities.append(row)
+        elif low > 1e-9:
+            raise Infeasible(self.name, "a requirement contradicts the limits", "widen limits or areas")
+
+    def require_any(self, alternatives: Sequence[Sequence[Affine | float]]) -> None:
+        """Add the rows of at least one of several alternatives, each a list of expressions <= 0.
+
+        Alternatives that the variable bounds exclude are dropped; nothing is added if the bounds imply one.
+
+        Args:
+            alternatives: lists of expressions that must not be positive.
+
+        Raises:
+            Infeasible: the bounds exclude every alternative.
+        """
+        possible = []
+        for rows in alternatives:
+            limits = [self.limits(row) for row in rows]
+            if all(high <= 1e-9 for _, high in limits):
+                return
+            if all(low <= 1e-9 for low, _ in limits):
+                possible.append(rows)
+        if not possible:
+            raise Infeasible(self.name, "a requirement contradicts the limits", "widen limits or areas")
+        chosen = [self.binary() for _ in possible] if len(possible) > 1 else [1.0]
+        for choice, rows in zip(chosen, possible, strict=True):
+            for row in rows:
+                self.require(row, unless=1.0 - choice)
+        if len(possible) > 1:
+            self.require(1.0 - np.sum(chosen))
+
+    def require_equal(self, expression: Affine) -> None:
+        """Add the row expression = 0."""
+        self.equalities.append(expression)
+
+    def rows(self) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray]:
+        """Return all rows as low <= A x <= high; the equalities come last."""
+        every = [*self.inequalities, *self.equalities]
+        indptr = np.cumsum([0, *(len(row.coefficients) for row in every)])
+        columns = [i for row in every for i in row.coefficients]
+        data = [c for row in every for c in row.coefficients.values()]
+        matrix = sparse.csr_matrix((data, columns, indptr), shape=(len(every), len(self.lower)))
+        high = -np.array([row.constant for row in every])
+        low = np.concatenate([np.full(len(self.inequalities), -np.inf), high[len(self.inequalities) :]])
+        return matrix, low, high
+
+
+def solve_mixed_integer(model: Model, time_limit: float, relative_gap: float = 1e-6) -> Solution:
+    """Minimise a mixed-integer linear model with HiGHS.
+
+    Args:
+        model: the model.
+        time_limit: wall time after which the best point so far is returned [s].
+        relative_gap: proof is complete once (objective - bound) / |objective| is below this.
+
+    Returns:
+        The best point and the proven bound.
+
+    Raises:
+        Infeasible: proven to have no solution.
+        SolverFailed: no point within the time limit.
+    """
+    solver = highspy.Highs()
+    for option, value in (("output_flag", False), ("threads", 1), ("time_limit", max(time_limit, 0.1))):
+        solver.setOptionValue(option, value)
+    for option in ("mip_feasibility_tolerance", "primal_feasibility_tolerance"):
+        solver.setOptionValue(option, 1e-8)
+    solver.setOptionValue("mip_rel_gap", relative_gap)
+    solver.passModel(_highs_problem(model))
+    solver.run()
+    status = solver.getModelStatus()
+    info = solver.getInfo()
+    if status in (highspy.HighsModelStatus.kInfeasible, highspy.HighsModelStatus.kUnboundedOrInfeasible):
+        raise Infeasible(model.name, "proven infeasible", "relax the formula, the limits or the horizon")
+    if info.primal_solution_status != highspy.SolutionStatus.kSolutionStatusFeasible:
+        text = solver.modelStatusToString(status).lower()
+        raise SolverFailed(model.name, f"HiGHS: {text}, no solution found", "raise the time limit")
+    x = np.array(solver.getSolution().col_value)
+    bound = info.mip_dual_bound if any(model.integer) else info.objective_function_value
+    return Solution(x, info.objective_function_value, bound)
+
+
+def solve_cones(model: Model, integers: np.ndarray, shares: list[tuple[Affine, Affine, Affine]]) -> np.ndarray:
+    """Minimise the model with its integers held fixed, under e >= d^2 / t for each share (e, d, t).
+
+    The share is the second-order cone |((e - t) / 2, d)| <= (e + t) / 2.
+
+    Args:
+        model: the model; its objective is kept.
+        integers: a point whose integer entries are taken over, shape (n,).
+        shares: expressions (e, d, t).
+
+    Returns:
+        The optimal point, shape (n,).
+
+    Raises:
+        SolverFailed: Clarabel stopped without a usable answer.
+    """
+    fixed = np.array(model.integer)
+    base = np.where(fixed, np.round(integers), 0.0)
+    free = np.flatnonzero(~fixed)
+    matrix, _, high = model.rows()
+    equal = len(model.equalities)
+    split = matrix.shape[0] - equal
+    box = sparse.identity(len(free))
+    cone = [0.5 * (e + t) for e, _, t in shares], [0.5 * (e - t) for e, _, t in shares], [d for _, d, _ in shares]
+    stacked = [part[k] for k in range(len(shares)) for part in cone]
+    cone_rows, cone_high = _affine_rows(stacked, len(base))
+    rest = high - matrix @ base
+    rows = matrix[:, free]
+    # Clarabel wants A x + s = b with s in {0}, R+ and the second-order cones, in this order.
+    A = sparse.vstack([rows[split:], rows[:split], box, -box, -cone_rows[:, free]], format="csc")
+    upper, lower = np.array(model.upper)[free], np.array(model.lower)[free]
+    b = np.concatenate([rest[split:], rest[:split], upper, -lower, cone_high + cone_rows @ base])
+    cones = [clarabel.ZeroConeT(equal), clarabel.NonnegativeConeT(split + 2 * len(free))]
+    cones += [clarabel.SecondOrderConeT(3)] * len(shares)
+    cost = np.zeros(len(base))
+    for i, c in model.objective.coefficients.items():
+        cost[i] += c
+    x = solve_clarabel(model.name, sparse.csc_matrix((len(free), len(free))), cost[free], A, b, cones)
+    base[free] = x
+    return base
+
+
+def solve_clarabel(
+    name: str, P: sparse.csc_matrix, q: np.ndarray, A: sparse.csc_matrix, b: np.ndarray, cones: list[object]
+) -> np.ndarray:
+    """Minimise x'Px/2 + q'x subject to A x + s = b with s in the cones.
+
+    Args:
+        name: what failures call the problem.
+        P: upper triangle of the cost matrix, shape (n, n).
+        q: linear cost, shape (n,).
+        A: rows, shape (m, n).
+        b: right-hand side, shape (m,).
+        cones: Clarabel cones, in the order of the rows.
+
+    Returns:
+        The optimal point, shape (n,).
+
+    Raises:
+        Infeasible: proven to have no solution.
+        SolverFailed: stopped without a usable answer.
+    """
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    solution = clarabel.DefaultSolver(P, q, A, b, cones, settings).solve()
+    status = str(solution.status)
+    if "PrimalInfeasible" in status:
+        raise Infeasible(name, "proven infeasible", "relax the formula, the limits or the horizon")
+    if status not in ("Solved", "AlmostSolved"):
+        raise SolverFailed(name, f"Clarabel: {status}", "change the time reserves or the number of impacts")
+    return np.array(solution.x)
+
+
+def _highs_problem(model: Model) -> highspy.HighsLp:
+    matrix, low, high = model.rows()
+    problem = highspy.HighsLp()
+    problem.num_col_, problem.num_row_ = len(model.lower), matrix.shape[0]
+    cost = np.zeros(len(model.lower))
+    for i, c in model.objective.coefficients.items():
+        cost[i] += c
+    problem.col_cost_, problem.offset_ = cost, model.objective.constant
+    problem.col_lower_, problem.col_upper_ = np.array(model.lower), np.array(model.upper)
+    problem.row_lower_, problem.row_upper_ = low, high
+    problem.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
+    problem.a_matrix_.start_ = matrix.indptr
+    problem.a_matrix_.index_ = matrix.indices
+    problem.a_matrix_.value_ = matrix.data
+    kinds = (highspy.HighsVarType.kContinuous, highspy.HighsVarType.kInteger)
+    problem.integrality_ = [kinds[integer] for integer in model.integer]
+    return problem
+
+
+def _affine_rows(expressions: list[Affine], size: int) -> tuple[sparse.csr_matrix, np.ndarray]:
+    """Return the rows A, c with expressions = A x + c."""
+    indptr = np.cumsum([0, *(len(e.coefficients) for e in expressions)])
+    columns = [i for e in expressions for i in e.coefficients]
+    data = [c for e in expressions for c in e.coefficients.values()]
+    constants = np.array([e.constant for e in expressions])
+    return sparse.csr_matrix((data, columns, indptr), shape=(len(expressions), size)), constants

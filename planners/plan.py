@@ -1,0 +1,205 @@
+"""What a planner promises: curves, impacts, robustness with its proven bound."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from pydantic import ConfigDict, FiniteFloat, TypeAdapter, ValidationError
+
+from impact_envs.errors import InputError
+from planners.bezier import Array, Curve, read_array
+
+_STRICT = ConfigDict(extra="forbid")
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedImpact:
+    """Hold one planned impact of a robot on an object.
+
+    Args:
+        time: instant of the impact [s].
+        robot: name of the robot that hits.
+        object: name of the object that is hit.
+        position: centre of the object, shape (2,) [m].
+        contact: centre of the robot = position - (r_R + r_O) normal, shape (2,) [m].
+        normal: unit vector from robot to object, the direction of the impulse, shape (2,).
+        robot_minus: velocity of the robot just before, shape (2,) [m/s].
+        robot_plus: velocity of the robot just after, shape (2,) [m/s].
+        object_minus: velocity of the object just before, shape (2,) [m/s].
+        object_plus: velocity of the object just after, shape (2,) [m/s].
+
+    Raises:
+        InputError: a vector is not two finite numbers.
+    """
+
+    time: FiniteFloat
+    robot: str
+    object: str
+    position: Array
+    contact: Array
+    normal: Array
+    robot_minus: Array
+    robot_plus: Array
+    object_minus: Array
+    object_plus: Array
+
+    __pydantic_config__ = _STRICT
+
+    def __post_init__(self) -> None:
+        for name in _vectors():
+            vector = read_array(getattr(self, name))
+            if vector.shape != (2,):
+                raise InputError(f"impact at {self.time} s: {name} has shape {vector.shape}, expected (2,)")
+            object.__setattr__(self, name, vector)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PlannedImpact) and all(
+            np.array_equal(getattr(self, field.name), getattr(other, field.name)) for field in fields(self)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Hold a motion plan for all robots and objects of a scenario.
+
+    Args:
+        scenario: name of the scenario the plan was made for.
+        objective: what was maximised, "robustness" or "impact_uncertainty".
+        horizon: duration T of the plan [s].
+        robustness: STL robustness of the whole formula over the centres of all bodies [m].
+        bound: proven upper bound of the robustness over every admissible number of impacts [m].
+        gap: bound - robustness promised by the event grid, relative to max(1, |bound|).
+        effort: sum over the legs of robots and objects of |displacement|^2 / duration [m^2/s].
+        effort_bound: proven lower bound of the effort at this number of impacts; None: none was proven.
+        impacts: planned impacts in the order of time.
+        robots: curve of every robot's centre, over [0, T].
+        objects: curve of every object's centre, over [0, T].
+        solve_seconds: wall time of the whole planning [s].
+        stage_seconds: wall time of each stage [s].
+        validated: True if the independent simulation agreed with every promise.
+
+    Raises:
+        InputError: the curves do not span [0, T], or an impact names an unknown body or time.
+    """
+
+    scenario: str
+    objective: str
+    horizon: FiniteFloat
+    robustness: FiniteFloat
+    bound: FiniteFloat
+    gap: FiniteFloat
+    effort: FiniteFloat
+    effort_bound: FiniteFloat | None
+    impacts: tuple[PlannedImpact, ...]
+    robots: dict[str, Curve]
+    objects: dict[str, Curve]
+    solve_seconds: FiniteFloat
+    stage_seconds: dict[str, FiniteFloat]
+    validated: bool
+
+    __pydantic_config__ = _STRICT
+
+    def __post_init__(self) -> None:
+        for name, curve in (self.robots | self.objects).items():
+            if curve.times[0] != 0.0 or curve.times[-1] != self.horizon:
+                span = f"[{curve.times[0]}, {curve.times[-1]}]"
+                raise InputError(f"plan: curve of {name} spans {span} s, expected [0, {self.horizon}] s")
+        previous = 0.0
+        for impact in self.impacts:
+            _check_name(impact.robot, self.robots)
+            _check_name(impact.object, self.objects)
+            if not previous <= impact.time <= self.horizon:
+                raise InputError(f"plan: impact time {impact.time} s is not in [{previous}, {self.horizon}] s")
+            previous = impact.time
+
+    def to_json(self) -> str:
+        """Return the plan as JSON text; reading it back gives an equal plan, bit for bit."""
+        return json.dumps(_adapter().dump_python(self, mode="json"), allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> Plan:
+        """Return the plan written in JSON text.
+
+        Args:
+            text: what `to_json` returned.
+
+        Returns:
+            The plan.
+
+        Raises:
+            InputError: not JSON, a key is unknown or missing, or a value does not fit.
+        """
+        try:
+            return _adapter().validate_python(json.loads(text))
+        except ValidationError as error:
+            raise InputError(f"plan: {_first_line(error)}") from None
+        except ValueError as error:
+            raise InputError(f"plan: not JSON: {error}") from None
+
+    def save(self, path: str | Path) -> None:
+        """Write the plan to a JSON file.
+
+        Args:
+            path: file to write.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        try:
+            Path(path).write_text(self.to_json() + "\n", encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"plan file {path}: cannot be written: {error.strerror}") from None
+
+    @classmethod
+    def load(cls, path: str | Path) -> Plan:
+        """Read a plan from a JSON file.
+
+        Args:
+            path: file to read.
+
+        Returns:
+            The plan.
+
+        Raises:
+            InputError: the file cannot be read, or does not hold a plan.
+        """
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "not text"
+            raise InputError(f"plan file {path}: cannot be read: {reason}") from None
+        try:
+            return cls.from_json(text)
+        except InputError as error:
+            raise InputError(f"plan file {path}: {error}") from None
+
+    def replace(self, **changes: object) -> Plan:
+        """Return a copy with some fields changed."""
+        return replace(self, **changes)  # type: ignore[arg-type]
+
+
+@cache
+def _vectors() -> tuple[str, ...]:
+    return tuple(field.name for field in fields(PlannedImpact) if field.name not in ("time", "robot", "object"))
+
+
+@cache
+def _adapter() -> TypeAdapter[Plan]:
+    return TypeAdapter(Plan)
+
+
+def _check_name(name: str, curves: dict[str, Curve]) -> None:
+    if name not in curves:
+        raise InputError(f"plan: impact names {name!r}, which has no curve; choices: {', '.join(curves)}")
+
+
+def _first_line(error: ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return f"{where}: {first['msg']}" if where else first["msg"]

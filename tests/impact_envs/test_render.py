@@ -1,0 +1,243 @@
+import subprocess
+import sys
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+import impact_envs
+from impact_envs import drawing
+from impact_envs.errors import InputError
+from impact_envs.render import Frame, Renderer, save_video
+from impact_envs.shape import Shape
+
+LOWER, UPPER = (-1.0, 0.0), (3.0, 10.0)  # the corridor's 4 x 10 m
+ROBOT = Shape("snap", "robot", radius=0.3)
+PUCK = Shape("pop", "object", radius=0.3)
+BOX = Shape("pop", "object", vertices=((-0.6, -0.2), (0.6, -0.2), (0.6, 0.2), (-0.6, 0.2)))
+SIZE = (500, 900)
+ORANGE = drawing.mix(drawing.OBJECT_COLORS[0], 0.85)  # as bodies are filled
+
+
+def _draw(shapes, size=SIZE, **frame):
+    renderer = Renderer(LOWER, UPPER, shapes, size=size)
+    frame.setdefault("poses", {"snap": (1.0, 2.0, 0.0), "pop": (1.0, 6.0, 0.0)})
+    return renderer.draw(Frame(0.0, **frame))
+
+
+def _find(image, color, tolerance=40.0):
+    """Return rows and columns of the pixels of nearly this colour."""
+    return np.nonzero(np.linalg.norm(image.astype(float) - color, axis=2) < tolerance)
+
+
+def _center(image, color):
+    rows, columns = _find(image, color)
+    return np.array([columns.mean(), rows.mean()])
+
+
+def _extent(image, color):
+    rows, columns = _find(image, color)
+    return np.ptp(columns) + 1, np.ptp(rows) + 1
+
+
+def test_picture_is_a_fresh_array_of_the_asked_size():
+    renderer = Renderer(LOWER, UPPER, [ROBOT], size=SIZE)
+    frame = Frame(1.0, {"snap": (1.0, 2.0, 0.0)})
+    first, second = renderer.draw(frame), renderer.draw(frame)
+    assert first.shape == (SIZE[1], SIZE[0], 3) and first.dtype == np.uint8
+    assert np.array_equal(first, second) and not np.shares_memory(first, second)
+    first[:] = 0
+    assert np.array_equal(renderer.draw(frame), second)
+
+
+@pytest.mark.parametrize("size", [SIZE, (900, 500), None])
+def test_both_axes_have_one_scale_and_y_points_up(size):
+    color = ORANGE
+    width, height = _extent(_draw([PUCK], size), color)
+    assert abs(width - height) <= 1
+    here = _center(_draw([PUCK], size), color)
+    right = _center(_draw([PUCK], size, poses={"pop": (2.0, 6.0, 0.0)}), color) - here
+    up = _center(_draw([PUCK], size, poses={"pop": (1.0, 7.0, 0.0)}), color) - here
+    assert right[0] == pytest.approx(-up[1], abs=0.3) and right[0] > 20
+    assert (right[1], up[0]) == pytest.approx((0, 0), abs=0.3)
+    assert width == pytest.approx(0.6 * right[0], abs=4)  # a disc of radius 0.3 m is 0.6 m wide
+
+
+def test_whole_world_is_inside_the_picture():
+    corners = [(x, y) for x in (LOWER[0] + 0.3, UPPER[0] - 0.3) for y in (LOWER[1] + 0.3, UPPER[1] - 0.3)]
+    areas = [len(_find(_draw([PUCK], poses={"pop": (x, y, 0.0)}), ORANGE)[0]) for x, y in [*corners, (1, 5)]]
+    assert max(areas) - min(areas) < 0.02 * max(areas)
+
+
+def test_polygon_turns_with_its_body():
+    lying = _extent(_draw([BOX]), ORANGE)
+    upright = _extent(_draw([BOX], poses={"pop": (1.0, 6.0, np.pi / 2)}), ORANGE)
+    assert lying[0] > 2.5 * lying[1]
+    assert upright == pytest.approx(lying[::-1], abs=1)
+    # A quarter turn is counter-clockwise: a long arm to the right then points up.
+    arm = Shape("pop", "object", vertices=((0.0, -0.1), (1.2, -0.1), (1.2, 0.1), (0.0, 0.1)))
+    up = _center(_draw([arm], poses={"pop": (1.0, 6.0, np.pi / 2)}), ORANGE)
+    assert up[1] < _center(_draw([arm]), ORANGE)[1] - 20
+
+
+def test_heading_mark_points_along_the_heading():
+    plain = _draw([Shape("snap", "object", radius=0.3)])
+    middle = _center(plain, ORANGE)
+    for heading in (0.0, 0.5 * np.pi, np.pi, 1.25 * np.pi):
+        image = _draw([ROBOT], poses={"snap": (1.0, 2.0, heading)})
+        rows, columns = _find(image, drawing.PAPER, 12.0)
+        near = np.hypot(columns - middle[0], rows - middle[1]) < 18
+        mark = np.array([columns[near].mean(), rows[near].mean()]) - middle
+        assert mark / np.linalg.norm(mark) == pytest.approx((np.cos(heading), -np.sin(heading)), abs=0.12)
+
+
+def test_impact_shrinks_with_age_and_old_ones_go():
+    fresh, old = (len(_find(_draw([], impacts=[(1.0, 5.0, age)]), drawing.IMPACT, 150)[0]) for age in (0.0, 9.0))
+    assert fresh > 2 * old > 20
+    many = [(1.0, 9.0 - 0.5 * k, 5.0) for k in range(17)]
+    rows, _ = _find(_draw([], impacts=many), drawing.IMPACT, 150)
+    last_dozen, _ = _find(_draw([], impacts=many[-12:]), drawing.IMPACT, 150)
+    assert np.array_equal(rows, last_dozen)
+
+
+def test_trail_is_solid_and_plan_is_dashed():
+    line = {"pop": np.array([[1.0, 1.0], [1.0, 5.0]])}
+    share = {}
+    for kind in ("trails", "plans"):
+        image = _draw([PUCK], poses={"pop": (1.0, 8.0, 0.0)}, **{kind: line})
+        column = round(_center(image, ORANGE)[0])
+        ends = [_center(_draw([PUCK], poses={"pop": (1.0, y, 0.0)}), ORANGE)[1] for y in (5, 1)]
+        strip = image[round(ends[0]) : round(ends[1]), column].astype(float)
+        share[kind] = np.mean(strip[:, 2] < 200)  # orange has little blue, the ground has much
+    assert share["trails"] == 1.0
+    assert 0.4 < share["plans"] < 0.8
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 2)), np.ones((1, 2)), np.ones((5, 2))])
+def test_curves_without_length_draw_nothing_far(points):
+    image = _draw([PUCK], trails={"pop": points}, plans={"pop": points}, poses={"pop": (1.0, 1.0, 0.0)})
+    assert np.array_equal(image[: SIZE[1] // 2], _draw([PUCK], poses={"pop": (1.0, 1.0, 0.0)})[: SIZE[1] // 2])
+
+
+@pytest.mark.parametrize(
+    ("bounds", "color"),
+    [((0.1, 0.4), drawing.SATISFIED), ((-1.0, -0.2), drawing.VIOLATED), ((-1.0, 0.4), drawing.UNDECIDED)],
+)
+def test_header_shows_the_verdict(bounds, color):
+    header = _draw([], robustness=bounds)[:66, SIZE[0] // 2 :]
+    for other in (drawing.SATISFIED, drawing.VIOLATED, drawing.UNDECIDED):
+        assert (len(_find(header, other, 12)[0]) > 40) == (other == color)
+
+
+def test_long_caption_stays_inside():
+    image = _draw([], caption="a caption that is far too long for a picture of this width " * 4)
+    assert (image[:66, -14:] == 255).all()
+    assert (image[:30] < 128).any()
+
+
+def test_regions_lie_under_obstacles_and_obstacles_under_bodies():
+    square = ((0.0, 4.0), (2.0, 4.0), (2.0, 8.0), (0.0, 8.0))
+    stone, area = Shape(None, "obstacle", vertices=square), Shape(None, "region", vertices=square)
+    for shapes in ([stone, area, PUCK], [PUCK, area, stone]):
+        image = _draw(shapes)
+        rows, _ = _find(image, drawing.SOLID, 6)
+        assert len(rows) > 1000
+        body_rows, _ = _find(image, ORANGE)
+        assert rows.min() < body_rows.min() < body_rows.max() < rows.max()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ((LOWER, UPPER, [], "rgb"), "render mode 'rgb' is unknown: choices: human, rgb_array"),
+        ((LOWER, LOWER, []), "is empty"),
+        ((LOWER, UPPER, [], "rgb_array", (40, 40)), "too small"),
+    ],
+)
+def test_bad_input_is_one_line(arguments, says):
+    with pytest.raises(InputError, match=says) as caught:
+        Renderer(*arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_body_without_pose_is_named():
+    with pytest.raises(InputError, match="no pose for body 'pop'"):
+        _draw([PUCK], poses={"snap": (0, 0, 0)})
+
+
+def test_window_draws_and_closes(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    import pygame
+
+    renderer = Renderer(LOWER, UPPER, [PUCK], "human", fps=1000)
+    frame = Frame(0.0, {"pop": (1.0, 6.0, 0.0)})
+    try:
+        assert renderer.draw(frame) is None
+        shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+        assert np.array_equal(shown, Renderer(LOWER, UPPER, [PUCK]).draw(frame))
+        pygame.event.post(pygame.event.Event(pygame.QUIT))
+        with pytest.raises(KeyboardInterrupt):
+            renderer.draw(frame)
+        assert not pygame.display.get_init()
+        assert renderer.draw(frame) is None
+    finally:
+        renderer.close()
+    assert not pygame.display.get_init()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems always have a display")
+def test_window_without_display_is_one_line(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(InputError, match="finds no display"):
+        Renderer(LOWER, UPPER, [], "human").draw(Frame(0.0, {}))
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+def test_film_has_the_frames_given(tmp_path, suffix):
+    renderer = Renderer((0, 0), (2, 1), [PUCK], size=(200, 170))
+    pictures = [renderer.draw(Frame(0.0, {"pop": (0.4 + 0.3 * k, 0.5, 0.0)})) for k in range(5)]
+    film = iio.imread(save_video(iter(pictures), tmp_path / f"film{suffix}", fps=10))
+    assert film.shape == (5, 170, 200, 3)
+    for shown, drawn in zip(film, pictures, strict=True):
+        assert _center(shown, ORANGE) == pytest.approx(_center(drawn, ORANGE), abs=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "says"),
+    [
+        ("film.avi", 1, "suffix '.avi'.*choices: .mp4, .gif"),
+        ("film.gif", 0, "no frames"),
+        ("no/film.gif", 1, "not exist"),
+    ],
+)
+def test_film_that_cannot_be_written_is_one_line(tmp_path, name, count, says):
+    with pytest.raises(InputError, match=says):
+        save_video([np.zeros((8, 8, 3), np.uint8)] * count, tmp_path / name, fps=10)
+
+
+def test_environment_gathers_trails_and_impacts():
+    env = impact_envs.parallel_env("throw_and_catch", render_mode="rgb_array")
+    env.reset(seed=0)
+    start = env.render()
+    assert np.array_equal(env.render(), start)
+    push = {agent: np.array([-1.0, 0.0, 0.0]) for agent in env.possible_agents}  # against the wall on the left
+    hits = 0
+    while env.agents and hits == 0:
+        env.step(push)
+        image = env.render()
+        hits = len(env.impacts)
+    assert hits > 0
+    assert len(_find(image, drawing.IMPACT, 60)[0]) > 20 and len(_find(start, drawing.IMPACT, 60)[0]) == 0
+    env.reset(seed=0)
+    assert np.array_equal(env.render(), start)
+    env.close()
+
+
+def test_importing_loads_no_pygame_and_drawing_prints_nothing():
+    code = (
+        "import sys; from impact_envs.render import Frame, Renderer; assert 'pygame' not in sys.modules;"
+        "Renderer((0, 0), (1, 1), []).draw(Frame(0.0, {}))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout == ""

@@ -1,0 +1,1 @@
+"""Runnable modules behind the ``impact`` command: training, evaluation, report."""

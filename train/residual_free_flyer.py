@@ -1,0 +1,349 @@
+"""Train a bounded correction to a free-flyer's expert, from first decision to resumable checkpoints.
+
+``python -m train.residual_free_flyer --help`` lists every argument. What a run leaves in ``out``:
+
+    policy.safetensors, policy.json   the policy that was best on the tuning seeds; ``out`` is a checkpoint
+    directory checkpoints/<steps>/              the last two policies with all that is needed to resume
+    args.json                         arguments, seed and versions
+    tensorboard/                      learning curves
+"""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+import torch
+import tyro
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
+
+from agents.actor import PolicyRecord, save_policy
+from agents.residual import TRAINING_SEEDS, ResidualEnv, ResidualPolicy
+from agents.sb3 import Model, export_actor, load_training, read_training, save_training, start_at_expert
+from impact_envs.env import parallel_env
+from impact_envs.errors import InputError
+from impact_envs.rollout import Policy, rollout
+from impact_envs.scenario import Scenario, load_scenario
+from planners import make_expert, make_plan
+from planners.plan import Plan
+from train.metrics import compare_pairs, compute_wilson_interval
+from train.record import read_versions, write_json
+from train.watch import EpisodeLog, show_progress, stop_on_signals
+
+# Tuning seeds start here; evaluation seeds start at 2,000,000.
+TUNING_SEEDS = 1_000_000
+# Corrections that SAC learns from.
+REPLAY_SIZE = 100_000
+# Arguments that decide what a checkpoint means; a resumed run must have the same.
+FIXED = ("scenario", "suite", "algo", "seed", "n_envs", "hidden")
+
+
+@dataclass(frozen=True)
+class Args:
+    """Arguments of a training run."""
+
+    scenario: str = "throw_and_catch"
+    """Shipped name or path of a TOML file."""
+    suite: str = "restitution"
+    """Mismatch suite of the true world."""
+    algo: Literal["ppo", "sac"] = "ppo"
+    """Learning algorithm."""
+    steps: int = 8192
+    """Corrections to answer in the whole run; a free-flyer asks for one per impact."""
+    out: Path = Path("runs/residual")
+    """Folder for checkpoints and logs."""
+    resume: bool = False
+    """Go on from the last checkpoint in out."""
+    seed: int = 0
+    """Of networks, exploration and episodes."""
+    n_envs: int = 2
+    """Environments that play at the same time."""
+    subprocesses: bool = True
+    """Give each environment a process of its own, if there are several."""
+    learning_rate: float = 5e-4
+    """Step size of Adam."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Width of each hidden layer, for policy and value."""
+    log_std: float = -1.2
+    """Logarithm of the exploration's standard deviation at the start (-1.2: 0.3 of the range)."""
+    rollout: int = 256
+    """Corrections between two PPO updates, over all environments."""
+    batch: int = 64
+    """Corrections per gradient step."""
+    checkpoint_every: int = 1024
+    """Corrections between two checkpoints."""
+    eval_every: int = 2048
+    """Corrections between two evaluations on tuning seeds; 0: never."""
+    eval_episodes: int = 40
+    """Tuning seeds per evaluation."""
+    log: bool = True
+    """Write TensorBoard logs."""
+    progress: bool = True
+    """Show a bar on standard error."""
+
+
+def main(args: Args) -> dict[str, Any]:
+    """Train, or go on training, until ``steps`` corrections are answered or Ctrl-C asks to stop.
+
+    Args:
+        args: arguments of the run.
+
+    Returns:
+        ``steps`` answered, ``out``, ``wall_seconds``, ``eval`` (of the best policy on the tuning seeds,
+        paired with the expert; empty if there was none) and ``interrupted``.
+
+    Raises:
+        InputError: bad arguments, or a run in ``out`` that cannot be gone on with.
+        PlanningError: the expert found no plan.
+    """
+    start = time.perf_counter()
+    check_args(args)
+    torch.set_num_threads(1)
+    scenario = load_scenario(args.scenario)
+    plan = make_plan(scenario.suite(args.suite))
+    envs = make_envs(args, scenario, plan)
+    try:
+        model = make_model(args, envs)
+        run = Run(args, scenario, plan, model, envs)
+        with stop_on_signals() as stopping, show_progress(args.steps, args.progress) as advance:
+            callback = EpisodeLog(stopping, advance)
+            while model.num_timesteps < args.steps and not stopping.is_set():
+                ahead = args.checkpoint_every - model.num_timesteps % args.checkpoint_every
+                ahead = min(ahead, args.steps - model.num_timesteps)
+                model.learn(ahead, callback, log_interval=1, reset_num_timesteps=False)
+                if not stopping.is_set():
+                    run.evaluate_if_due()
+                run.save()
+    finally:
+        envs.close()
+    return {
+        "steps": model.num_timesteps,
+        "out": str(args.out),
+        "wall_seconds": time.perf_counter() - start,
+        "eval": max(run.evaluations, key=_score, default={}),
+        "interrupted": stopping.is_set(),
+    }
+
+
+def check_args(args: Args) -> None:
+    """Raise unless the arguments make sense.
+
+    Args:
+        args: arguments of a run.
+
+    Raises:
+        InputError: one line naming the argument, its value and the limit.
+    """
+    least = {"steps": 1, "seed": 0, "n_envs": 1, "rollout": 2, "batch": 2, "checkpoint_every": 1}
+    for name, low in (least | {"eval_every": 0, "eval_episodes": 1}).items():
+        if getattr(args, name) < low:
+            raise InputError(f"{name} {getattr(args, name)} is too small; choices: {low}, {low + 1}, ...")
+    if args.algo not in ("ppo", "sac"):
+        raise InputError(f"algo '{args.algo}' is unknown; choices: ppo, sac")
+    if args.rollout % args.n_envs:
+        raise InputError(f"rollout {args.rollout} is not a multiple of n_envs {args.n_envs}")
+    if not args.hidden or min(args.hidden) < 1:
+        raise InputError(f"hidden {list(args.hidden)}: every layer needs a width of at least 1")
+    held = last_checkpoint(args.out)
+    if args.resume and held is None:
+        raise InputError(f"out {args.out}: holds no checkpoint to resume from")
+    if held is not None and not args.resume:
+        raise InputError(f"out {args.out}: holds a run of {int(held.name)} steps; resume it or choose another")
+    if held is not None:
+        before, now = read_training(held).run, _settings(args)
+        for key in FIXED:
+            if before.get(key) != now[key]:
+                raise InputError(f"{held}: was made with {key} {before.get(key)}; cannot be resumed with {now[key]}")
+
+
+def last_checkpoint(out: Path) -> Path | None:
+    """Return the newest checkpoint of a run, None if there is none.
+
+    Args:
+        out: folder of the run.
+    """
+    folders = [path for path in (out / "checkpoints").glob("*") if path.name.isdigit()]
+    return max(folders, key=lambda path: int(path.name), default=None)
+
+
+def make_envs(args: Args, scenario: Scenario, plan: Plan) -> VecNormalize:
+    """Make the training environments, with running normalisation of the features.
+
+    Args:
+        args: arguments of the run.
+        scenario: what to train on.
+        plan: for the experts to follow.
+    """
+
+    def make_env(in_subprocess: bool) -> Callable[[], ResidualEnv]:
+        def make() -> ResidualEnv:
+            if in_subprocess:
+                # Ctrl-C is the parent's to handle.
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
+            return ResidualEnv(scenario, args.suite, plan)
+
+        return make
+
+    apart = args.subprocesses and args.n_envs > 1
+    makers = [make_env(apart) for _ in range(args.n_envs)]
+    envs: VecEnv = SubprocVecEnv(makers, start_method="spawn") if apart else DummyVecEnv(makers)  # type: ignore[arg-type]
+    # A feature that hardly varies keeps a spread of 1e-3, so that it is not blown up to noise.
+    return VecNormalize(envs, norm_reward=False, gamma=1.0, epsilon=1e-6)
+
+
+def make_model(args: Args, envs: VecNormalize) -> Model:
+    """Make a model that starts exactly at the expert.
+
+    gamma = 1: an episode has few decisions, and its return is what counts.
+
+    Args:
+        args: arguments of the run.
+        envs: training environments.
+    """
+    network = {"net_arch": list(args.hidden), "activation_fn": torch.nn.Tanh}
+    model: Model
+    if args.algo == "ppo":
+        # A run shorter than a rollout still learns once.
+        steps = max(2, min(args.rollout, args.steps) // args.n_envs)
+        model = PPO(
+            "MlpPolicy", envs, args.learning_rate, steps, min(args.batch, steps * args.n_envs),
+            gamma=1.0, gae_lambda=1.0, policy_kwargs=network, seed=args.seed, device="cpu",
+        )  # fmt: skip
+    else:
+        model = SAC(
+            "MlpPolicy", envs, args.learning_rate, REPLAY_SIZE, args.batch, args.batch,
+            gamma=1.0, gradient_steps=-1, policy_kwargs=network, seed=args.seed, device="cpu",
+        )  # fmt: skip
+    start_at_expert(model, args.log_std)
+    model.set_logger(
+        configure(str(args.out / "tensorboard") if args.log else None, ["tensorboard"] if args.log else [])
+    )
+    return model
+
+
+class Run:
+    """What a run has learned so far, on tuning seeds and on disk.
+
+    Args:
+        args: arguments of the run.
+        scenario: what is trained on.
+        plan: for the expert to follow.
+        model: PPO or SAC; with ``args.resume`` the last checkpoint is put into it.
+        envs: training environments; they are seeded anew, from seed and steps.
+
+    Raises:
+        InputError: the checkpoint does not fit the arguments.
+    """
+
+    def __init__(self, args: Args, scenario: Scenario, plan: Plan, model: Model, envs: VecNormalize) -> None:
+        self._args, self._scenario, self._model, self._envs = args, scenario, model, envs
+        self._settings = _settings(args)
+        self._expert = make_expert(scenario.suite(args.suite), plan)
+        self._reference: pd.DataFrame | None = None
+        self.evaluations: list[dict[str, Any]] = []
+        if args.resume:
+            checkpoint = last_checkpoint(args.out)
+            assert checkpoint is not None
+            self.evaluations = load_training(checkpoint, model, envs).evaluations
+        state = np.random.SeedSequence([args.seed, model.num_timesteps]).generate_state(2)
+        set_random_seed(int(state[0]))
+        envs.seed(int(state[1]) % (TRAINING_SEEDS - args.n_envs))
+        write_json(args.out / "args.json", {"args": self._settings, "versions": read_versions()})
+        self.evaluate_if_due()
+
+    def evaluate_if_due(self) -> None:
+        """Play the tuning seeds and keep the policy if it is the best so far."""
+        steps, every = self._model.num_timesteps, self._args.eval_every
+        done = self.evaluations[-1]["steps"] if self.evaluations else -1
+        if every == 0 or done == steps:
+            return
+        if done < 0 or steps >= self._args.steps or steps // every > done // every:
+            policy = ResidualPolicy(self._expert, export_actor(self._model, self._envs).correction)
+            self.evaluations.append({"steps": steps, **self._compare(policy)})
+            if max(self.evaluations, key=_score) is self.evaluations[-1]:
+                self._save_policy(self._args.out)
+
+    def save(self) -> None:
+        """Write a checkpoint, all or nothing, and drop all but the last two."""
+        folder = self._args.out / "checkpoints" / f"{self._model.num_timesteps:08d}"
+        if not folder.exists():
+            partial = folder.with_name(f".{folder.name}")
+            shutil.rmtree(partial, ignore_errors=True)
+            self._save_policy(partial)
+            save_training(partial, self._model, self._envs, self._settings, self.evaluations)
+            partial.rename(folder)
+        if self._args.eval_every == 0:
+            self._save_policy(self._args.out)
+        for old in sorted(folder.parent.glob("[0-9]*"))[:-2]:
+            shutil.rmtree(old)
+
+    def _save_policy(self, folder: Path) -> None:
+        actor, args = export_actor(self._model, self._envs), self._args
+        record = PolicyRecord(
+            scenario=self._scenario.name,
+            domain=self._scenario.domain,
+            suite=args.suite,
+            algorithm=args.algo,
+            feature_size=self._expert.feature_size,
+            correction_size=self._expert.correction_size,
+            hidden=args.hidden,
+            squash=actor.squash,
+            feature_clip=actor.feature_clip,
+            seed=args.seed,
+            steps=self._model.num_timesteps,
+            training=self._settings,
+            versions=read_versions(),
+        )
+        save_policy(folder, actor, record)
+
+    def _compare(self, policy: ResidualPolicy) -> dict[str, Any]:
+        """Play the tuning seeds and pair them with the expert's, which are played once."""
+        if self._reference is None:
+            self._reference = self._play(self._expert)
+        played = self._play(policy)
+        paired = played.merge(self._reference, on="seed", suffixes=("_a", "_b"))
+        successes = int(played["success"].sum())
+        return {
+            "success_rate": successes / len(played),
+            "success_ci": list(compute_wilson_interval(successes, len(played))),
+            "robustness_median": float(played["robustness"].median()),
+            "expert_success_rate": float(self._reference["success"].mean()),
+            "expert_robustness_median": float(self._reference["robustness"].median()),
+            **compare_pairs(paired),
+        }
+
+    def _play(self, policy: Policy) -> pd.DataFrame:
+        env = parallel_env(self._scenario.suite(self._args.suite))
+        seeds = range(TUNING_SEEDS, TUNING_SEEDS + self._args.eval_episodes)
+        episodes = [rollout(env, policy, seed) for seed in seeds]
+        return pd.DataFrame({"seed": e.seed, "success": e.success, "robustness": e.robustness} for e in episodes)
+
+
+def _score(evaluation: dict[str, Any]) -> tuple[float, float]:
+    """Order evaluations: success first, then the paired gain over the expert."""
+    return evaluation["success_rate"], evaluation["difference_median"]
+
+
+def _settings(args: Args) -> dict[str, Any]:
+    """Return the arguments as JSON values."""
+    return {key: _plain(value) for key, value in asdict(args).items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Path):
+        return str(value)
+    return list(value) if isinstance(value, tuple) else value
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))
