@@ -57,7 +57,7 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             infos[first],
         )
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]  # one mode never returns a list
+    def render(self) -> np.ndarray | None:
         """Draw the present step; see ImpactEnv.render."""
         return self.parallel.render()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -17,8 +16,6 @@ from impact_envs.shape import Shape
 
 if TYPE_CHECKING:
     import pygame
-
-    from impact_envs.env import ImpactEnv
 
 MODES = ("human", "rgb_array")
 SUFFIXES = (".mp4", ".gif")
@@ -100,53 +97,6 @@ class Renderer:
         self._window.blit(picture, (0, 0))
         pygame.display.flip()
         self._clock.tick(self._fps)
-
-
-class View:
-    """Draw an environment step by step; trails and impacts gather from one drawn step to the next.
-
-    Args:
-        scenario: gives the world box and the caption.
-        shapes: what the world and its bodies look like.
-        mode: "human" or "rgb_array".
-    """
-
-    def __init__(self, scenario: Any, shapes: Sequence[Shape], mode: str) -> None:
-        self._renderer = Renderer(scenario.world.lower, scenario.world.upper, shapes, mode)
-        self._bodies = list(dict.fromkeys(shape.body for shape in shapes if shape.body is not None))
-        self._caption = scenario.name
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget trails and impacts."""
-        self._time = -math.inf
-        self._trails: dict[str, list[tuple[float, float]]] = {body: [] for body in self._bodies}
-        self._impacts: list[tuple[float, float, float]] = []  # (x, y, time)
-
-    def draw(self, env: ImpactEnv) -> np.ndarray | None:
-        """Draw the environment's present step.
-
-        Args:
-            env: an environment that has been reset.
-
-        Returns:
-            An image, shape (height, width, 3) uint8, in mode "rgb_array"; None in mode "human".
-        """
-        signals = env.signals
-        poses = {b: (signals[f"{b}.x"], signals[f"{b}.y"], signals[f"{b}.heading"]) for b in self._bodies}
-        if env.time > self._time:  # a step drawn twice counts once
-            self._time = env.time
-            self._impacts += [(float(i.point[0]), float(i.point[1]), i.time) for i in env.impacts]
-            for body, (x, y, _) in poses.items():
-                self._trails[body].append((x, y))
-        trails = {body: np.array(trail) for body, trail in self._trails.items()}
-        impacts = [(x, y, env.time - time) for x, y, time in self._impacts]
-        frame = Frame(env.time, poses, trails, env.curves, impacts, env.bounds, self._caption)
-        return self._renderer.draw(frame)
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        self._renderer.close()
 
 
 def save_video(frames: Iterable[np.ndarray], path: str | Path, fps: float) -> Path:

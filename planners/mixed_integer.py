@@ -1,11 +1,10 @@
-"""Mixed-integer linear models written row by row, with interval big-M, solved by HiGHS; cones by Clarabel."""
+"""Mixed-integer linear models written row by row, with interval big-M, solved by HiGHS."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import clarabel
 import highspy
 import numpy as np
 from scipy import sparse
@@ -162,12 +161,15 @@ class Model:
                 possible.append(rows)
         if not possible:
             raise Infeasible(self.name, "a requirement contradicts the limits", "widen limits or areas")
-        chosen = [self.binary() for _ in possible] if len(possible) > 1 else [1.0]
+        if len(possible) == 1:
+            for row in possible[0]:
+                self.require(row)
+            return
+        chosen = [self.binary() for _ in possible]
+        self.require(1.0 - sum(chosen, Affine({})))
         for choice, rows in zip(chosen, possible, strict=True):
             for row in rows:
                 self.require(row, unless=1.0 - choice)
-        if len(possible) > 1:
-            self.require(1.0 - np.sum(chosen))
 
     def require_equal(self, expression: Affine) -> None:
         """Add the row expression = 0."""
@@ -220,79 +222,6 @@ def solve_mixed_integer(model: Model, time_limit: float, relative_gap: float = 1
     return Solution(x, info.objective_function_value, bound)
 
 
-def solve_cones(model: Model, integers: np.ndarray, shares: list[tuple[Affine, Affine, Affine]]) -> np.ndarray:
-    """Minimise the model with its integers held fixed, under e >= d^2 / t for each share (e, d, t).
-
-    The share is the second-order cone |((e - t) / 2, d)| <= (e + t) / 2.
-
-    Args:
-        model: the model; its objective is kept.
-        integers: a point whose integer entries are taken over, shape (n,).
-        shares: expressions (e, d, t).
-
-    Returns:
-        The optimal point, shape (n,).
-
-    Raises:
-        SolverFailed: Clarabel stopped without a usable answer.
-    """
-    fixed = np.array(model.integer)
-    base = np.where(fixed, np.round(integers), 0.0)
-    free = np.flatnonzero(~fixed)
-    matrix, _, high = model.rows()
-    equal = len(model.equalities)
-    split = matrix.shape[0] - equal
-    box = sparse.identity(len(free))
-    cone = [0.5 * (e + t) for e, _, t in shares], [0.5 * (e - t) for e, _, t in shares], [d for _, d, _ in shares]
-    stacked = [part[k] for k in range(len(shares)) for part in cone]
-    cone_rows, cone_high = _affine_rows(stacked, len(base))
-    rest = high - matrix @ base
-    rows = matrix[:, free]
-    # Clarabel wants A x + s = b with s in {0}, R+ and the second-order cones, in this order.
-    A = sparse.vstack([rows[split:], rows[:split], box, -box, -cone_rows[:, free]], format="csc")
-    upper, lower = np.array(model.upper)[free], np.array(model.lower)[free]
-    b = np.concatenate([rest[split:], rest[:split], upper, -lower, cone_high + cone_rows @ base])
-    cones = [clarabel.ZeroConeT(equal), clarabel.NonnegativeConeT(split + 2 * len(free))]
-    cones += [clarabel.SecondOrderConeT(3)] * len(shares)
-    cost = np.zeros(len(base))
-    for i, c in model.objective.coefficients.items():
-        cost[i] += c
-    x = solve_clarabel(model.name, sparse.csc_matrix((len(free), len(free))), cost[free], A, b, cones)
-    base[free] = x
-    return base
-
-
-def solve_clarabel(
-    name: str, P: sparse.csc_matrix, q: np.ndarray, A: sparse.csc_matrix, b: np.ndarray, cones: list[object]
-) -> np.ndarray:
-    """Minimise x'Px/2 + q'x subject to A x + s = b with s in the cones.
-
-    Args:
-        name: what failures call the problem.
-        P: upper triangle of the cost matrix, shape (n, n).
-        q: linear cost, shape (n,).
-        A: rows, shape (m, n).
-        b: right-hand side, shape (m,).
-        cones: Clarabel cones, in the order of the rows.
-
-    Returns:
-        The optimal point, shape (n,).
-
-    Raises:
-        Infeasible: proven to have no solution.
-        SolverFailed: stopped without a usable answer.
-    """
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    solution = clarabel.DefaultSolver(P, q, A, b, cones, settings).solve()
-    status = str(solution.status)
-    if "PrimalInfeasible" in status:
-        raise Infeasible(name, "proven infeasible", "relax the formula, the limits or the horizon")
-    if status not in ("Solved", "AlmostSolved"):
-        raise SolverFailed(name, f"Clarabel: {status}", "change the time reserves or the number of impacts")
-    return np.array(solution.x)
-
-
 def _highs_problem(model: Model) -> highspy.HighsLp:
     matrix, low, high = model.rows()
     problem = highspy.HighsLp()
@@ -310,12 +239,3 @@ def _highs_problem(model: Model) -> highspy.HighsLp:
     kinds = (highspy.HighsVarType.kContinuous, highspy.HighsVarType.kInteger)
     problem.integrality_ = [kinds[integer] for integer in model.integer]
     return problem
-
-
-def _affine_rows(expressions: list[Affine], size: int) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """Return the rows A, c with expressions = A x + c."""
-    indptr = np.cumsum([0, *(len(e.coefficients) for e in expressions)])
-    columns = [i for e in expressions for i in e.coefficients]
-    data = [c for e in expressions for c in e.coefficients.values()]
-    constants = np.array([e.constant for e in expressions])
-    return sparse.csr_matrix((data, columns, indptr), shape=(len(expressions), size)), constants

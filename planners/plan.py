@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import ConfigDict, FiniteFloat, TypeAdapter, ValidationError
@@ -56,7 +57,7 @@ class PlannedImpact:
                 raise InputError(f"impact at {self.time} s: {name} has shape {vector.shape}, expected (2,)")
             object.__setattr__(self, name, vector)
 
-    def __eq__(self, other: object) -> bool:
+    def __eq__(self, other: Any) -> bool:
         return isinstance(other, PlannedImpact) and all(
             np.array_equal(getattr(self, field.name), getattr(other, field.name)) for field in fields(self)
         )
@@ -73,10 +74,11 @@ class Plan:
         objective: what was maximised, "robustness" or "impact_uncertainty".
         horizon: duration T of the plan [s].
         robustness: STL robustness of the whole formula over the centres of all bodies [m].
-        bound: proven upper bound of the robustness over every admissible number of impacts [m].
-        gap: bound - robustness promised by the event grid, relative to max(1, |bound|).
-        effort: sum over the legs of robots and objects of |displacement|^2 / duration [m^2/s].
-        effort_bound: proven lower bound of the effort at this number of impacts; None: none was proven.
+        bound: proven upper bound of the robustness of any plan, with any number of impacts [m].
+        gap: (bound - robustness) / max(1, |bound|); 0 once below the planner's tolerance of a micrometre.
+        effort: sum over the legs between events of |displacement|^2 / duration, of all bodies [m^2/s].
+        effort_bound: proven lower bound of the effort at this robustness, number of impacts and these
+            reserves; None: none was proven.
         impacts: planned impacts in the order of time.
         robots: curve of every robot's centre, over [0, T].
         objects: curve of every object's centre, over [0, T].
@@ -179,10 +181,6 @@ class Plan:
         except InputError as error:
             raise InputError(f"plan file {path}: {error}") from None
 
-    def replace(self, **changes: object) -> Plan:
-        """Return a copy with some fields changed."""
-        return replace(self, **changes)  # type: ignore[arg-type]
-
 
 @cache
 def _vectors() -> tuple[str, ...]:
@@ -202,4 +200,5 @@ def _check_name(name: str, curves: dict[str, Curve]) -> None:
 def _first_line(error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
     where = ".".join(str(part) for part in first["loc"])
-    return f"{where}: {first['msg']}" if where else first["msg"]
+    message = first["msg"].removeprefix("Value error, ").removeprefix("plan: ")
+    return f"{where}: {message}" if where else message

@@ -17,17 +17,17 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import tyro
 from rich.console import Console
 from rich.table import Column, Table
+from tyro.conf import Positional
 
 from impact_envs.errors import InputError
-from impact_envs.scenario import Scenario, list_scenarios, load_scenario
+from impact_envs.scenario import list_scenarios, load_scenario
 from planners.errors import PlanningError
 
-Position = tyro.conf.Positional
 EVALUATION_SEED = 2_000_000
 DEMO_SCENARIOS = ("throw_and_catch", "corridor")
 DEMO_POLICY = "throw_and_catch_restitution"
@@ -62,7 +62,7 @@ class List:
 class Plan:
     """Plan a scenario, prove the plan's robustness and check it by simulation."""
 
-    scenario: Position[str]
+    scenario: Positional[str]
     """Shipped name or TOML file."""
     objective: Literal["robustness"] = "robustness"
     """What to maximise."""
@@ -117,7 +117,7 @@ class Plan:
 class Run:
     """Run one episode."""
 
-    scenario: Position[str]
+    scenario: Positional[str]
     """Shipped name or TOML file."""
     policy: str = "expert"
     """expert, zero, random, a shipped policy or a checkpoint folder."""
@@ -181,7 +181,7 @@ class Run:
 class Train:
     """Train a residual on top of the expert."""
 
-    scenario: Position[str]
+    scenario: Positional[str]
     """Shipped name or TOML file."""
     suite: str = "restitution"
     """Mismatch suite to train under."""
@@ -217,7 +217,7 @@ class Train:
 class Evaluate:
     """Judge policies on the same seeds."""
 
-    scenarios: Position[tuple[str, ...]]
+    scenarios: Positional[tuple[str, ...]]
     """Shipped names or TOML files."""
     policies: tuple[str, ...] = ("expert", "zero")
     """expert, zero, random, shipped policies or checkpoint folders."""
@@ -254,7 +254,7 @@ class Evaluate:
 class Report:
     """Write one self-contained HTML page from an evaluation."""
 
-    folder: Position[Path]
+    folder: Positional[Path]
     """Folder that impact evaluate --out wrote."""
     json: bool = False
 
@@ -289,7 +289,7 @@ class Demo:
                 f"plan of {name}: robustness {p['robustness']:.3f} m, gap {p['gap']:.3g}, "
                 f"{len(p['impacts'])} impacts, {p['solve_seconds']:.2f} s"
             )
-        # The learned policy was trained on throw_and_catch under the restitution suite; the rest shows how it carries over.
+        # The learned policy was trained on throw_and_catch under restitution; the rest shows how it carries over.
         result = evaluate(
             scenarios=DEMO_SCENARIOS,
             policies=("expert", DEMO_POLICY, "zero"),
@@ -344,7 +344,7 @@ def _parse(arguments: list[str]) -> Command:
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            return tyro.cli(Command, prog="impact", description=__doc__, args=arguments)  # type: ignore[arg-type]
+            return tyro.cli(Command, prog="impact", description=__doc__, args=arguments)
     except SystemExit as error:
         if not error.code:
             raise

@@ -126,7 +126,7 @@ def thin_replay(replay: Replay, look: Look, limit: int) -> dict[str, Any]:
     last = len(replay.times) - 1
     kinks = np.searchsorted(replay.times, [impact.time for impact in replay.impacts])
     even = np.linspace(0, last, min(limit, last + 1)).astype(int)
-    keep = np.unique(np.clip(even, 0, last))
+    keep = np.unique(np.clip(np.concatenate([even, kinks, kinks - 1]), 0, last))
 
     def pick(name: str) -> list[float]:
         return np.round(np.asarray(replay.signals[name])[keep], 4).tolist()

@@ -188,8 +188,9 @@ def make_envs(args: Args, scenario: Scenario, plan: Plan) -> VecNormalize:
     def make_env(in_subprocess: bool) -> Callable[[], ResidualEnv]:
         def make() -> ResidualEnv:
             if in_subprocess:
-                # Ctrl-C is the parent's to handle.
-                signal.signal(signal.SIGINT, signal.SIG_IGN)
+                # Stopping is the parent's to handle; without it the pipe ends, and so does the process.
+                for number in (signal.SIGINT, signal.SIGTERM):
+                    signal.signal(number, signal.SIG_IGN)
             return ResidualEnv(scenario, args.suite, plan)
 
         return make

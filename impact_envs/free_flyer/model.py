@@ -15,7 +15,7 @@ import numpy as np
 
 from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.body import Body, make_obstacle, make_walls
-from impact_envs.free_flyer.lasting_contact import ContactSolver
+from impact_envs.free_flyer.lasting_contact import SKIN, ContactSolver
 from impact_envs.free_flyer.pair import (
     CONTACT_STEP,
     GRAZE,
@@ -34,9 +34,10 @@ from impact_envs.physics.impact import Impact, compute_restitution, solve_contac
 # pressed together so that even the full rebound would end within a contact step: without such a rule, bounces
 # crowd without end.
 LOW_SPEED = 1e-4
-# Bodies this near [m] rest on each other if they close in no faster, and part no faster, than this [m/s].
-REST_GAP, REST_SPEED, PART_SPEED = 1e-5, 1e-9, 1e-6
-REST_PRESS = 1e-9  # accelerations below this are rounding [m/s^2]
+# Bodies this near [m] rest on each other if they close in no faster than this [m/s], and part no faster than
+# the contact solver's skin lets it see over a contact step. Smaller accelerations are rounding [m/s^2].
+REST_GAP, REST_SPEED, PART_SPEED = 1e-5, 1e-9, SKIN / CONTACT_STEP
+REST_PRESS = 1e-9
 # Impacts this close in time are solved together, so that symmetric squeezes stay symmetric [s].
 SIMULTANEOUS = 1e-12
 EVENTS = 20_000  # in one control period; more means the rules above have failed
@@ -183,13 +184,13 @@ class FreeFlyerModel:
         for _ in range(EVENTS):
             left = period - t
             near = self._near_pairs(left)
-            resting, pressed = self._resting(near)
+            pressed, idle = self._resting(near)
             if pressed:
                 left = min(left, CONTACT_STEP)
                 solver = solver or ContactSolver(self._bodies, self.physics.friction)
-                solver.hold(resting, left)
+                solver.hold(pressed, left)
                 near = self._near_pairs(left)
-            first, hits = self._first_impact(near, resting, left)
+            first, hits = self._first_impact(near, pressed | idle, left)
             h = min(first, left)
             for body in self._movable:
                 body.fly(h)
@@ -198,7 +199,7 @@ class FreeFlyerModel:
                 impacts += self._collide(hits, near, self.time + t)
             for body, acceleration in zip(self._movable, held, strict=True):
                 body.ax, body.ay, body.alpha = acceleration
-            if not hits and t >= period:
+            if t >= period:
                 return impacts
         raise RuntimeError(f"more than {EVENTS} events in the control period at {self.time:g} s")
 
@@ -238,16 +239,24 @@ class FreeFlyerModel:
     def _both(self, pair: Pair) -> tuple[Body, Body]:
         return self._bodies[pair[0]], self._bodies[pair[1]]
 
-    def _resting(self, near: list[Pair]) -> tuple[set[Pair], bool]:
-        """Return the pairs that rest on each other, and whether any force presses on them."""
-        resting, pressed = set(), False
+    def _resting(self, near: list[Pair]) -> tuple[set[Pair], set[Pair]]:
+        """Return the pairs that rest on each other under pressure, and those that do so without.
+
+        Where any is pressed, every pair that touches may become so, and counts as pressed.
+        """
+        touching, pressed = {}, False
         for pair in near:
             a, b = self._both(pair)
             contact = find_contact(a, b)
-            if contact.gap <= REST_GAP and -PART_SPEED <= compute_approach(a, b, contact) <= REST_SPEED:
-                resting.add(pair)
-                pressed = pressed or compute_press(a, b, contact) > REST_PRESS
-        return resting, pressed
+            if contact.gap <= REST_GAP:
+                approach = compute_approach(a, b, contact)
+                if -PART_SPEED <= approach <= REST_SPEED:
+                    touching[pair] = press = compute_press(a, b, contact)
+                    # Parting bodies are pressed if the pressure turns them round within a contact step.
+                    pressed = pressed or press > max(REST_PRESS, -approach / CONTACT_STEP)
+        if pressed:
+            return set(touching), set()
+        return set(), {pair for pair, press in touching.items() if press <= REST_PRESS}
 
     def _collide(self, hits: list[Pair], near: list[Pair], time: float) -> list[Impact]:
         """Change velocities by the impacts of one instant and return them.

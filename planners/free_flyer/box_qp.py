@@ -149,7 +149,8 @@ def search_projected(
             return False
         # change of a quadratic: slope + curvature / 2; the full Newton step without clipping has exactly slope / 2
         if curvature / 2 <= -0.9 * slope:
-            x[:] = trial
+            for i in range(n):
+                x[i] = trial[i]
             return True
         alpha /= 2
     return False

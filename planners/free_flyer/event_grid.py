@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
-from planners.free_flyer.requirement import Requirement
+from planners.free_flyer.events import compute_speed_caps
+from planners.free_flyer.reserves import Reserves
 from planners.mixed_integer import Affine, Model
 
 AXES = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
@@ -26,56 +27,7 @@ DIRECTIONS = np.concatenate([AXES, np.sqrt(0.5) * np.array([[1, 1], [1, -1], [-1
 CONE_AT_REST, CONE_TURNING = np.tan(np.deg2rad([30.0, 60.0]))
 COARSE = 1e-3  # diagonal contacts count as clear of both their axes in spite of rounding [m]
 LEAST_PUSH = 0.1  # of the object's displacements after and before an impact along its direction [m]
-FRACTIONS = (0.25, 0.5, 0.75)  # where on a leg passing through an area is looked for
-Point = np.ndarray | Sequence[Affine | float]
-
-
-@dataclass(frozen=True)
-class Reserves:
-    """Hold what a plan keeps in hand for its execution.
-
-    Times count in full from about 30 s of horizon on; below, they are shares of the horizon.
-
-    Args:
-        speed: share of the speed limits that legs between impacts may use.
-        thrust: share of force_limit / mass that motions may use.
-        turn: time to reach the speed of a leg from rest, or to stop from it, at this thrust [s].
-        first: least time before the first impact [s].
-        gap: least time between impacts [s].
-        last: least time after the last impact [s].
-        clearance: distance kept between bodies beyond touching [m].
-        wall: distance kept from walls and solid obstacles beyond touching [m].
-        avoid: distance kept from areas to avoid beyond the robustness, where the optimum allows it [m].
-
-    Source: measured in closed loop with restitution, mass, sensing, drift and actuation perturbed.
-    """
-
-    speed: float = 0.7
-    thrust: float = 0.6
-    turn: float = 4.0
-    first: float = 8.0
-    gap: float = 5.0
-    last: float = 15.0
-    clearance: float = 0.2
-    wall: float = 0.05
-    avoid: float = 0.15
-
-    def times(self, horizon: float) -> tuple[float, float, float]:
-        """Return (first, gap, last) for a horizon [s]."""
-        last = min(self.last, max(0.4 * self.last, 0.15 * horizon), 0.2 * horizon)
-        return min(self.first, 0.27 * horizon), min(self.gap, 0.17 * horizon), last
-
-    def acceleration(self, robot: Robot) -> float:
-        """Return the greatest planned acceleration of a robot per axis [m/s^2]."""
-        return self.thrust * robot.force_limit / robot.mass
-
-    def cruise(self, robot: Robot) -> float:
-        """Return the greatest planned speed of a robot between impacts per axis [m/s]."""
-        return min(self.speed * robot.speed_limit, self.turn * self.acceleration(robot))
-
-    def turning(self, robot: Robot) -> float:
-        """Return the time a robot loses to starting and stopping on a leg [s]."""
-        return self.cruise(robot) / self.acceleration(robot)
+Point = np.ndarray  # shape (2,), of numbers or expressions [m]
 
 
 @dataclass(frozen=True)
@@ -129,32 +81,24 @@ class EventGrid:
 
 
 def build_event_grid(
-    scenario: FreeFlyerScenario,
-    requirements: Sequence[Requirement],
-    impacts: int,
-    rho: tuple[float, float],
-    reserves: Reserves,
-    pieces: int = 1,
-    passing: bool = True,
+    scenario: FreeFlyerScenario, impacts: int, rho: tuple[float, float], reserves: Reserves, pieces: int = 1
 ) -> EventGrid:
-    """Build the model of all plans with a given number of impacts.
+    """Build the model of all motions with a given number of impacts, without any formula.
 
     Args:
         scenario: one object, any number of robots.
-        requirements: what the formula demands, see `read_requirements`.
         impacts: number K of impacts.
         rho: least and greatest robustness allowed [m].
         reserves: what the plan keeps in hand.
         pieces: number of pieces per leg.
-        passing: whether an area may be reached in passing, between events.
 
     Returns:
-        The grid; its model has no objective yet.
+        The grid; `add_requirements` adds the formula, the stages their objectives.
 
     Raises:
         Infeasible: the variable bounds alone exclude every plan.
 
-    Source: event-grid formulation of Eqs. (5), (9), (15), (21), (22).
+    Source: Verhagen & Tumova, Eqs. (5), (9b)-(9e), on a grid of events.
     """
     model = Model(f"event grid of {scenario.name} with {impacts} impacts")
     grid = EventGrid(
@@ -173,73 +117,7 @@ def build_event_grid(
     _add_impact_rows(grid, scenario)
     _add_speed_rows(grid)
     _add_clearance_rows(grid, scenario, reserves)
-    for requirement in requirements:
-        if requirement.kind == "reach":
-            _add_reach_rows(grid, requirement, passing)
-        elif requirement.kind == "stay":
-            _add_stay_rows(grid, requirement, scenario.control_period)
-        else:
-            _add_avoid_rows(grid, requirement, scenario.control_period)
     return grid
-
-
-def compute_speed_caps(scenario: FreeFlyerScenario, impacts: int, reserves: Reserves) -> list[float]:
-    r"""Return the greatest speed per axis of every leg of the object.
-
-    A leg between impacts with |v^-|, |v^+| <= c per axis needs robot velocities v_R^- = (v^+ - m4 v^-) / m3
-    and v_R^+ = m1 v_R^- + m2 v^-, which keep |v_R| <= v_max if
-    c <= v_max / max((1 + |m4|) / m3, |m1| / m3 + |m2 - m1 m4 / m3|).
-    The object is at rest before the first impact, and after the last one if it has to be.
-
-    Args:
-        scenario: masses, restitution and speed limits.
-        impacts: number K of impacts.
-        reserves: what the plan keeps in hand.
-
-    Returns:
-        K + 1 speeds [m/s]; zero where the object rests.
-
-    Source: Verhagen & Tumova, Eq. (5), solved for the robot's velocities.
-    """
-    body = next(iter(scenario.objects.values()))
-    free, first, last = [], [], []
-    for robot in scenario.robots.values():
-        m1, m2, m3, m4 = compute_mass_fractions(robot.mass, body.mass, scenario.believed.restitution)
-        limit, through = reserves.cruise(robot), abs(m2 - m1 * m4 / m3)
-        free.append(limit / max((1 + abs(m4)) / m3, abs(m1) / m3 + through))
-        first.append(limit / max(1 / m3, abs(m1) / m3))
-        last.append(limit / max(abs(m4) / m3, through, 1e-9))
-    at_impact = [min(free)] * impacts
-    if impacts:
-        at_impact[0] = min(first)
-    if impacts > 1 and body.rest:
-        at_impact[-1] = min(last)
-    moving = [min(body.speed_limit, *at_impact[k : k + 2]) for k in range(impacts)]
-    return [0.0, *moving[:-1], 0.0 if body.rest else moving[-1]] if impacts else [0.0]
-
-
-def compute_mass_fractions(
-    robot_mass: float, object_mass: float, restitution: float
-) -> tuple[float, float, float, float]:
-    """Return m1..m4 with v_R^+ = m1 v_R^- + m2 v_O^- and v_O^+ = m3 v_R^- + m4 v_O^-.
-
-    Args:
-        robot_mass: m_R [kg].
-        object_mass: m_O [kg].
-        restitution: coefficient of restitution e.
-
-    Returns:
-        The four mass fractions.
-
-    Source: Verhagen & Tumova, Eq. (5).
-    """
-    total = robot_mass + object_mass
-    return (
-        (robot_mass - restitution * object_mass) / total,
-        (1 + restitution) * object_mass / total,
-        (1 + restitution) * robot_mass / total,
-        (object_mass - restitution * robot_mass) / total,
-    )
 
 
 def _add_times(
@@ -282,8 +160,8 @@ def _add_impact_rows(grid: EventGrid, scenario: FreeFlyerScenario) -> None:
     """Say who hits, from which side, where it stands, and that the impulse points away from it."""
     model, radius = grid.model, scenario.objects[grid.object].radius
     for k, (hits, sides) in enumerate(zip(grid.hits, grid.sides, strict=True), start=1):
-        model.require_equal(np.sum(list(hits.values())) - 1.0)
-        model.require_equal(np.sum(sides) - 1.0)
+        model.require_equal(sum(hits.values(), Affine({})) - 1.0)
+        model.require_equal(sum(sides, Affine({})) - 1.0)
         toward = np.array(sides, dtype=object) @ DIRECTIONS
         for robot, hit in hits.items():
             reach = scenario.robots[robot].radius + radius
@@ -363,59 +241,3 @@ def _wanted(
         return touching + reserves.wall
     hits = grid.hits_at(knot)
     return far - (far - nearest) * hits[first] if second == grid.object and hits else far
-
-
-def _outside_window(grid: EventGrid, need: Requirement, piece: int, period: float) -> list[list[Affine | float]]:
-    """Return the alternatives 'piece ends before the window' and 'piece starts after it'."""
-    if need.start <= 0.0 and need.end >= grid.times[-1]:  # type: ignore[operator]
-        return []
-    return [[grid.times[piece + 1] + period - need.start], [need.end + period - grid.times[piece]]]
-
-
-def _inside(grid: EventGrid, need: Requirement, point: Point) -> list[Affine | float]:
-    return [face @ point + grid.rho - bound for face, bound in zip(need.faces, need.bounds, strict=True)]
-
-
-def _add_stay_rows(grid: EventGrid, need: Requirement, period: float) -> None:
-    knots = grid.knots[need.body]
-    for piece in range(grid.count):
-        inside = [*_inside(grid, need, knots[piece]), *_inside(grid, need, knots[piece + 1])]
-        if need.start == need.end == grid.times[-1]:
-            inside = _inside(grid, need, knots[-1])
-        grid.model.require_any([inside, *_outside_window(grid, need, piece, period)])
-
-
-def _add_avoid_rows(grid: EventGrid, need: Requirement, period: float) -> None:
-    knots = grid.knots[need.body]
-    for piece in range(grid.count):
-        alternatives = _outside_window(grid, need, piece, period)
-        for face, bound in zip(need.faces, need.bounds, strict=True):
-            rows: list[Affine | float] = []
-            for point in (knots[piece], knots[piece + 1]):
-                beyond = face @ point - bound
-                fixed = not isinstance(beyond, Affine)
-                rows.append(need.clearance - beyond)
-                if need.scored:
-                    rows.append(grid.rho + (0.0 if fixed else need.reserve) - beyond)
-            alternatives.append(rows)
-        grid.model.require_any(alternatives)
-
-
-def _add_reach_rows(grid: EventGrid, need: Requirement, passing: bool) -> None:
-    """Look for the object at events, on a piece that overlaps the window, or at fixed fractions of pieces."""
-    knots, times = grid.knots[need.body], grid.times
-    moments = [(times[k], knots[k]) for k in range(0, grid.count + 1, 1 if passing else grid.pieces)]
-    alternatives = []
-    for piece in range(grid.count):
-        inside = [*_inside(grid, need, knots[piece]), *_inside(grid, need, knots[piece + 1])]
-        alternatives.append([times[piece] - need.end, need.start - times[piece + 1], *inside])
-        for fraction in FRACTIONS if passing and grid.caps[piece] > 0.0 else ():
-            moments.append(
-                (
-                    times[piece] + grid.duration(piece) * fraction,
-                    knots[piece] + (knots[piece + 1] - knots[piece]) * fraction,
-                )
-            )
-    for time, point in moments:
-        alternatives.append([need.start - time, time - need.end, *_inside(grid, need, point)])
-    grid.model.require_any(alternatives)

@@ -56,6 +56,26 @@ class Hit:
     ratio: float = 0.0
 
 
+def check_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:
+    """Raise if a plan cannot be executed in a scenario.
+
+    Args:
+        scenario: to act in.
+        plan: to execute.
+
+    Raises:
+        InputError: the plan is for other bodies or another horizon.
+    """
+    planned = {*plan.robots, *plan.objects}
+    if planned != set(scenario.bodies):
+        raise InputError(
+            f"the plan is for {plan.scenario} with {', '.join(sorted(planned))}; "
+            f"scenario {scenario.name} has {', '.join(sorted(scenario.bodies))}"
+        )
+    if not math.isclose(plan.horizon, scenario.horizon):
+        raise InputError(f"the plan lasts {plan.horizon:g} s, scenario {scenario.name} lasts {scenario.horizon:g} s")
+
+
 class FreeFlyerExpert:
     """Execute a plan in closed loop: a Policy that also takes a correction of every impulse.
 
@@ -72,6 +92,9 @@ class FreeFlyerExpert:
         correction_size, feature_size: of what `correct` takes and `features` returns.
         plan: that is executed.
 
+    Raises:
+        InputError: the plan is for other bodies or another horizon.
+
     Source: Verhagen & Tumova, Secs. VI and VII.
     """
 
@@ -80,6 +103,7 @@ class FreeFlyerExpert:
     feature_size = ONE_HOT + 17
 
     def __init__(self, scenario: FreeFlyerScenario, plan: Plan) -> None:
+        check_plan(scenario, plan)
         self.plan = plan
         self._scenario = scenario.as_believed()
         self._estimator = Estimator(self._scenario)
@@ -261,7 +285,8 @@ class FreeFlyerExpert:
         position, velocity = self._estimator.extrapolate(planned.object, strike.time)
         change = self._desired_velocity(strike, position) - velocity
         scale = math.exp(SCALE_RANGE * strike.correction[0])
-        c, s = (f(ROTATION_RANGE * strike.correction[1]) for f in (math.cos, math.sin))
+        angle = ROTATION_RANGE * strike.correction[1]
+        c, s = math.cos(angle), math.sin(angle)
         desired = velocity + scale * np.array([c * change[0] - s * change[1], s * change[0] + c * change[1]])
         robot, item = self._scenario.robots[planned.robot], self._scenario.objects[planned.object]
         strike.solution = solve_two_body_impact(

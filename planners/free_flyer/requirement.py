@@ -142,9 +142,7 @@ def _conjuncts(
         yield _requirement(scenario, formula, mode, start, end)
 
 
-def _requirement(
-    scenario: FreeFlyerScenario, formula: Formula, mode: str, start: float, end: float
-) -> Requirement:
+def _requirement(scenario: FreeFlyerScenario, formula: Formula, mode: str, start: float, end: float) -> Requirement:
     predicate = formula
     if isinstance(formula, Not) and isinstance(formula.child, In):
         predicate = replace(formula.child, negated=not formula.child.negated)

@@ -226,7 +226,8 @@ def condense(
     Z[:] = 0.0
     H[:] = 0.0
     g[:] = 0.0
-    Z[size] = state
+    for i in range(6):
+        Z[size, i] = state[i]
     for k in range(stages):
         h = durations[k]
         for i in range(3 * k + 1):

@@ -40,7 +40,7 @@ class Tolerances:
     share: float = 1e-6
 
 
-def check_plan(scenario: FreeFlyerScenario, plan: Plan, tolerances: Tolerances = Tolerances()) -> float:  # noqa: B008
+def check_plan(scenario: FreeFlyerScenario, plan: Plan, tolerances: Tolerances = Tolerances()) -> float:
     """Simulate a plan and raise unless it keeps what it promises.
 
     Args:
@@ -69,9 +69,7 @@ def check_plan(scenario: FreeFlyerScenario, plan: Plan, tolerances: Tolerances =
     return rho
 
 
-def compute_robustness(
-    scenario: FreeFlyerScenario, times: np.ndarray, positions: dict[str, np.ndarray]
-) -> float:
+def compute_robustness(scenario: FreeFlyerScenario, times: np.ndarray, positions: dict[str, np.ndarray]) -> float:
     """Return the robustness of the scenario's formula over sampled centres.
 
     Args:
@@ -83,11 +81,14 @@ def compute_robustness(
         Robustness [m].
     """
     step = times[1] - times[0]
-    signals = {}
+    signals: dict[str, np.ndarray] = {}
     for name, points in positions.items():
         velocity = np.gradient(points, step, axis=0)
         columns = {"x": points[:, 0], "y": points[:, 1], "vx": velocity[:, 0], "vy": velocity[:, 1]}
-        columns |= {"heading": np.full(len(times), scenario.body(name).heading), "omega": np.zeros(len(times))}
+        columns |= {
+            "heading": np.full(len(times), scenario.body(name).heading),
+            "omega": np.zeros(len(times)),
+        }
         signals |= {f"{name}.{signal}": values for signal, values in columns.items()}
     trace = Trace(signals, step, scenario.areas, scenario.bodies)
     return float(robustness(scenario.specification, trace))
@@ -141,7 +142,11 @@ def _hit(
     stated = [(impact.robot_minus, before), (impact.robot_plus, after)]
     stated += [(impact.object_minus, velocity), (impact.object_plus, plus)]
     stated_off = max(float(np.abs(told - real).max()) for told, real in stated)
-    places = [(impact.position, position), (impact.contact, curve.position(impact.time)), (impact.normal, normal)]
+    places = [
+        (impact.position, position),
+        (impact.contact, curve.position(impact.time)),
+        (impact.normal, normal),
+    ]
     place_off = max(float(np.abs(told - real).max()) for told, real in places)
     if robot_off > tolerances.velocity:
         _reject(f"{who}: the robot's velocity after it is off by {robot_off:.3g} m/s")

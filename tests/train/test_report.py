@@ -15,7 +15,8 @@ from planners.plan import Plan
 from train import report
 from train.metrics import compare, summarize
 from train.report import choose_looks, write_report
-from train.report_tables import signed
+from train.report_tables import signed, write_differences
+from train.results import Difference
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="no chromium, chromium-browser or google-chrome here")
@@ -218,6 +219,19 @@ def _number(text):
     return float(text.replace("−", "-"))
 
 
+@pytest.mark.parametrize(
+    ("interval", "reading"),
+    [((0.01, 0.2), "better"), ((-0.2, -0.01), "worse"), ((-0.1, 0.3), "no difference shown"), ((0.0, 0.3), "no diff")],
+)
+def test_only_an_interval_beside_zero_is_called_a_difference(interval, reading):
+    numbers = {"difference_median": 0.1, "difference_mean": 0.1, "win_rate": 0.7, "tie_rate": 0.1}
+    names = {"scenario": "throw", "suite": "nominal", "a": "b", "b": "a"}
+    difference = Difference(**names, **numbers, episodes=10, ci=interval, success_difference=0.1)
+    row = _Reader(write_differences([difference], choose_looks(["a", "b"]))).rows["paired-table"][-1]
+    assert reading in row[6]
+    assert row[4:6] == ["7 / 1 / 2", "+10 points"]
+
+
 def test_signed_numbers_are_rounded_and_carry_their_sign():
     assert [signed(x) for x in (0.25, -1.2996, 0.0, -0.0001)] == ["+0.250", "−1.300", "0.000", "0.000"]
 
@@ -325,13 +339,13 @@ def _pose(canvas):
 
 @needs_browser
 def test_browser_shows_the_asked_instant(page, tmp_path):
-    document = _browse(page, tmp_path, "#scenario=throw&suite=restitution&t=12.5")
+    document = _browse(page, tmp_path, "#scenario=throw&suite=restitution&t=12.57")
     assert 'data-ready="true"' in document and "data-error" not in document
     canvases = [canvas for canvas in _canvases(document) if "policy" in canvas]
     assert len(canvases) == 3
     thrown, still = canvases[0], canvases[1]
-    assert float(thrown["time"]) == 12.5
-    assert _pose(thrown)["puck"] == pytest.approx((0.5, 1.5 + 0.75 * 7.5 / 15), abs=1e-3)
+    assert float(thrown["time"]) == 12.57  # between two samples
+    assert _pose(thrown)["puck"] == pytest.approx((0.5, 1.5 + 0.75 * 7.57 / 15), abs=1e-3)
     assert _pose(still)["puck"] == (0.5, 1.5)
     assert (thrown["impacts"], still["impacts"]) == ("1", "0")
     assert thrown["bounds"] == "-1,0.25"
@@ -356,7 +370,7 @@ def test_slider_and_choices_move_the_picture(page, tmp_path):
     document.body.dataset.hash = location.hash;
     play.click();
     setTimeout(() => {
-      play.click(); seen.push(Number(slider.value));
+      seen.push(Number(slider.value));
       const text = JSON.stringify(seen);
       document.body.append(Object.assign(document.createElement("pre"), { id: "seen", textContent: text }));
     }, 1000);

@@ -197,8 +197,8 @@ def test_sac_trains_and_resumes(pusher: type[Pusher], tmp_path: Path) -> None:
     assert load_policy(tmp_path)[1].squash == "tanh"
 
 
-def test_the_real_expert_is_trained_in_processes(tmp_path: Path) -> None:
-    arguments = {"steps": 8, "rollout": 8, "batch": 4, "eval_every": 0, "subprocesses": True}
+def test_the_real_expert_is_trained(tmp_path: Path) -> None:
+    arguments = {"steps": 8, "rollout": 8, "batch": 4, "eval_every": 0}
     result = main(make_args(tmp_path, **arguments))
     assert result["steps"] == 8
     scenario = load_scenario("throw_and_catch").suite("restitution")

@@ -27,7 +27,7 @@ class World:
         self.scenario, self.sigma, self.drift, self.rng = scenario, sigma, np.array(drift), np.random.default_rng(3)
         self.position = {name: np.array(scenario.body(name).start, dtype=float) for name in scenario.bodies}
         self.velocity = {name: np.zeros(2) for name in scenario.bodies}
-        self.time, self.push = 0.0, {name: (0.0, 0.0) for name in scenario.robots}
+        self.time, self.push = 0.0, dict.fromkeys(scenario.robots, (0.0, 0.0))
 
     def advance(self, h: float = PERIOD) -> None:
         self.time += h
@@ -35,6 +35,13 @@ class World:
             a = np.array(self.push.get(name, self.drift))
             self.position[name] += h * self.velocity[name] + h * h / 2 * a
             self.velocity[name] += h * a
+
+    def aim(self, robot: str, item: str, seconds: float) -> None:
+        """Make a robot at rest reach an object at rest after a time."""
+        between = self.position[item] - self.position[robot]
+        distance = float(np.linalg.norm(between))
+        reach = self.scenario.body(robot).radius + self.scenario.body(item).radius
+        self.push[robot] = tuple(between / distance * 2 * (distance - reach) / seconds**2)
 
     def measure(self, contact: str = "", velocity_known: bool = True) -> Measurement:
         states = {
@@ -86,8 +93,7 @@ def test_filter_is_the_kalman_filter() -> None:
 
 def test_exact_measurements_are_believed_through_a_contact(scenario: FreeFlyerScenario) -> None:
     world, estimator = World(scenario), Estimator(scenario)
-    world.push["snap"] = (0.03, 0.0)
-    world.position["pop"] = world.position["snap"] + [0.4 + 0.03 * 5.04**2 / 2, 0.0]
+    world.aim("snap", "pop", 5.04)
     estimator.update(world.measure(), {})
     for k in range(80):
         if k == 50:  # inside the step, at a restitution the filter does not expect
@@ -98,7 +104,7 @@ def test_exact_measurements_are_believed_through_a_contact(scenario: FreeFlyerSc
             world.advance()
         touched = estimator.update(world.measure("snap" if k == 50 else ""), world.push)
         assert touched == ({"snap": "pop"} if k == 50 else {})
-        tolerance = 1e-9 if k < 50 or k > 55 else 1e-6
+        tolerance = 1e-9 if k < 50 else 1e-8 if k > 52 else 1e-6
         assert max(max(error(estimator, world, name)) for name in scenario.bodies) < tolerance, k
 
 
@@ -133,8 +139,7 @@ def test_drift_is_found(scenario: FreeFlyerScenario) -> None:
 
 def test_contact_makes_the_modelled_jump_before_velocities_are_known(scenario: FreeFlyerScenario) -> None:
     world, estimator = World(scenario, sigma=1e-3), Estimator(scenario)
-    world.push["snap"] = (0.03, 0.0)
-    world.position["pop"] = world.position["snap"] + [0.4 + 0.03 * 5.0**2 / 2, 0.0]
+    world.aim("snap", "pop", 5.0)
     for _ in range(50):
         estimator.update(world.measure(velocity_known=False), world.push)
         world.advance()
@@ -142,10 +147,10 @@ def test_contact_makes_the_modelled_jump_before_velocities_are_known(scenario: F
     world.bounce("snap", "pop", scenario.believed.restitution)
     world.advance()
     assert estimator.update(world.measure("snap", velocity_known=False), world.push) == {"snap": "pop"}
-    jump = world.velocity["pop"][0]
-    assert abs(before[0]) < 0.02 * jump
-    assert abs(estimator.velocity("pop")[0] - jump) < 0.15 * jump
-    assert abs(estimator.velocity("snap")[0] - world.velocity["snap"][0]) < 0.15 * jump
+    jump = np.linalg.norm(world.velocity["pop"])
+    assert np.linalg.norm(before) < 0.02 * jump
+    for name in ("pop", "snap"):
+        assert np.linalg.norm(estimator.velocity(name) - world.velocity[name]) < 0.1 * jump
 
 
 def test_missing_measurements_are_bridged(scenario: FreeFlyerScenario) -> None:
@@ -155,7 +160,8 @@ def test_missing_measurements_are_bridged(scenario: FreeFlyerScenario) -> None:
         if 30 <= k < 50:
             measurement.objects["pop"][:] = np.nan
         estimator.update(measurement, world.push)
-        assert max(error(estimator, world, "pop")) < 5e-4  # the object moves by 7 mm while it is not seen
+        # ten samples tell how exact positions are; the object moves by 8 mm while it is not seen
+        assert k < 12 or max(error(estimator, world, "pop")) < 1e-6
         world.advance()
 
 

@@ -29,8 +29,7 @@ def solve(
 def random_cases(count: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, tuple[float, float], float]]:
     rng = np.random.default_rng(1)
     return [
-        (*rng.uniform(-0.3, 0.3, (3, 2)), tuple(rng.uniform(1.0, 40.0, 2)), rng.uniform(0.0, 1.0))
-        for _ in range(count)
+        (*rng.uniform(-0.3, 0.3, (3, 2)), tuple(rng.uniform(1.0, 40.0, 2)), rng.uniform(0.0, 1.0)) for _ in range(count)
     ]
 
 

@@ -1,0 +1,1 @@
+"""Free-flyers: plans by mixed-integer programming, their execution by replanning and tracking."""

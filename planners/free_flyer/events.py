@@ -1,0 +1,154 @@
+"""Events of a plan in numbers, and what Eq. (5) says about the impacts between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners.bezier import Curve
+from planners.errors import Infeasible
+from planners.free_flyer.reserves import Reserves
+from planners.plan import PlannedImpact
+
+
+@dataclass(frozen=True)
+class EventSequence:
+    """Hold numbers for the events of a plan: who hits when and where.
+
+    Args:
+        times: t_0 = 0, impact times, t_{K+1} = T, shape (K+2,) [s].
+        object: name of the object.
+        path: positions of the object at these times, shape (K+2, 2) [m].
+        knots: robot name to its positions, every leg cut into n equal pieces, shape (n (K+1) + 1, 2) [m].
+        hitters: name of the robot of each impact.
+    """
+
+    times: np.ndarray
+    object: str
+    path: np.ndarray
+    knots: dict[str, np.ndarray]
+    hitters: tuple[str, ...]
+
+    def knot_times(self, count: int) -> np.ndarray:
+        """Return the times of so many knots, equally many on every leg, shape (count,) [s]."""
+        return np.interp(np.linspace(0, len(self.times) - 1, count), np.arange(len(self.times)), self.times)
+
+
+def make_object_curve(sequence: EventSequence) -> Curve:
+    """Return the object's curve: straight and uniform between events.
+
+    Args:
+        sequence: events.
+
+    Returns:
+        A curve of degree 1.
+    """
+    return Curve(sequence.times, np.stack([sequence.path[:-1], sequence.path[1:]], axis=1))
+
+
+def compute_impacts(scenario: FreeFlyerScenario, sequence: EventSequence) -> tuple[PlannedImpact, ...]:
+    r"""Return the impacts that send the object along its path.
+
+    v_R^- = (v_O^+ - m4 v_O^-) / m3 and v_R^+ = m1 v_R^- + m2 v_O^-; the impulse is along
+    n = (v_O^+ - v_O^-) / |v_O^+ - v_O^-|, so discs touch at p_O - (r_R + r_O) n. The relative velocity
+    v_R^- - v_O^- is along n as well: Eq. (6) for discs and Eq. (5) for points then agree.
+
+    Args:
+        scenario: masses, radii and believed restitution.
+        sequence: events.
+
+    Returns:
+        One planned impact per event.
+
+    Raises:
+        Infeasible: an impact would not change the object's velocity.
+
+    Source: Verhagen & Tumova, Eqs. (5), (6).
+    """
+    body, e = scenario.objects[sequence.object], scenario.believed.restitution
+    velocities = np.diff(sequence.path, axis=0) / np.diff(sequence.times)[:, None]
+    impacts = []
+    for k, name in enumerate(sequence.hitters, start=1):
+        robot, minus, plus = scenario.robots[name], velocities[k - 1], velocities[k]
+        m1, m2, m3, m4 = compute_mass_fractions(robot.mass, body.mass, e)
+        change = float(np.linalg.norm(plus - minus))
+        if change < 1e-3:
+            raise Infeasible("impact inversion", f"impact {k} changes nothing", "allow fewer impacts")
+        normal = (plus - minus) / change
+        robot_minus = (plus - m4 * minus) / m3
+        impacts.append(
+            PlannedImpact(
+                time=float(sequence.times[k]),
+                robot=name,
+                object=sequence.object,
+                position=sequence.path[k],
+                contact=sequence.path[k] - (robot.radius + body.radius) * normal,
+                normal=normal,
+                robot_minus=robot_minus,
+                robot_plus=m1 * robot_minus + m2 * minus,
+                object_minus=minus,
+                object_plus=plus,
+            )
+        )
+    return tuple(impacts)
+
+
+def compute_speed_caps(scenario: FreeFlyerScenario, impacts: int, reserves: Reserves) -> list[float]:
+    r"""Return the greatest speed per axis of every leg of the object.
+
+    A leg between impacts with |v^-|, |v^+| <= c per axis needs robot velocities v_R^- = (v^+ - m4 v^-) / m3
+    and v_R^+ = m1 v_R^- + m2 v^-, which keep |v_R| <= v_max if
+    c <= v_max / max((1 + |m4|) / m3, |m1| / m3 + |m2 - m1 m4 / m3|).
+    The object is at rest before the first impact, and after the last one if it has to be.
+
+    Args:
+        scenario: masses, restitution and speed limits.
+        impacts: number K of impacts.
+        reserves: what the plan keeps in hand.
+
+    Returns:
+        K + 1 speeds [m/s]; zero where the object rests.
+
+    Source: Verhagen & Tumova, Eq. (5), solved for the robot's velocities.
+    """
+    body = next(iter(scenario.objects.values()))
+    free, first, last = [], [], []
+    for robot in scenario.robots.values():
+        m1, m2, m3, m4 = compute_mass_fractions(robot.mass, body.mass, scenario.believed.restitution)
+        limit, through = reserves.cruise(robot), abs(m2 - m1 * m4 / m3)
+        free.append(limit / max((1 + abs(m4)) / m3, abs(m1) / m3 + through))
+        first.append(limit / max(1 / m3, abs(m1) / m3))
+        last.append(limit / max(abs(m4) / m3, through, 1e-9))
+    at_impact = [min(free)] * impacts
+    if impacts:
+        at_impact[0] = min(first)
+    if impacts > 1 and body.rest:
+        at_impact[-1] = min(last)
+    moving = [min(body.speed_limit, *at_impact[k : k + 2]) for k in range(impacts)]
+    return [0.0, *moving[:-1], 0.0 if body.rest else moving[-1]] if impacts else [0.0]
+
+
+def compute_mass_fractions(
+    robot_mass: float, object_mass: float, restitution: float
+) -> tuple[float, float, float, float]:
+    """Return m1..m4 with v_R^+ = m1 v_R^- + m2 v_O^- and v_O^+ = m3 v_R^- + m4 v_O^-.
+
+    Args:
+        robot_mass: m_R [kg].
+        object_mass: m_O [kg].
+        restitution: coefficient of restitution e.
+
+    Returns:
+        The four mass fractions.
+
+    Source: Verhagen & Tumova, Eq. (5).
+    """
+    total = robot_mass + object_mass
+    return (
+        (robot_mass - restitution * object_mass) / total,
+        (1 + restitution) * object_mass / total,
+        (1 + restitution) * robot_mass / total,
+        (object_mass - restitution * robot_mass) / total,
+    )

@@ -1,0 +1,68 @@
+"""What a plan keeps in hand for its execution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from impact_envs.free_flyer.schema import Robot
+
+
+@dataclass(frozen=True)
+class Reserves:
+    """Hold what a plan keeps in hand for its execution.
+
+    Times count in full from about 30 s of horizon on; below, they are shares of the horizon.
+
+    Args:
+        speed: share of the speed limits that legs between impacts may use.
+        thrust: share of force_limit / mass that motions may use.
+        turn: time to reach the speed of a leg from rest, or to stop from it, at this thrust [s].
+        first: least time before the first impact [s].
+        gap: least time between impacts [s].
+        last: least time after the last impact [s].
+        clearance: distance kept between bodies beyond touching [m].
+        wall: distance kept from walls and solid obstacles beyond touching [m].
+        avoid: distance kept from areas to avoid beyond the robustness, where the optimum allows it [m].
+
+    Source: measured in closed loop with restitution, mass, sensing, drift and actuation perturbed.
+    """
+
+    speed: float = 0.7
+    thrust: float = 0.6
+    turn: float = 4.0
+    first: float = 8.0
+    gap: float = 5.0
+    last: float = 15.0
+    clearance: float = 0.2
+    wall: float = 0.05
+    avoid: float = 0.15
+
+    def halved(self) -> Reserves:
+        """Return half as much in hand, for tasks that leave no room for more."""
+        return replace(
+            self,
+            speed=0.5 * (1.0 + self.speed),
+            thrust=0.5 * (1.0 + self.thrust),
+            first=0.5 * self.first,
+            gap=0.5 * self.gap,
+            last=0.5 * self.last,
+            clearance=0.5 * self.clearance,
+            avoid=0.5 * self.avoid,
+        )
+
+    def times(self, horizon: float) -> tuple[float, float, float]:
+        """Return (first, gap, last) for a horizon [s]."""
+        last = min(self.last, max(0.4 * self.last, 0.15 * horizon), 0.2 * horizon)
+        return min(self.first, 0.27 * horizon), min(self.gap, 0.17 * horizon), last
+
+    def acceleration(self, robot: Robot) -> float:
+        """Return the greatest planned acceleration of a robot per axis [m/s^2]."""
+        return self.thrust * robot.force_limit / robot.mass
+
+    def cruise(self, robot: Robot) -> float:
+        """Return the greatest planned speed of a robot between impacts per axis [m/s]."""
+        return min(self.speed * robot.speed_limit, self.turn * self.acceleration(robot))
+
+    def turning(self, robot: Robot) -> float:
+        """Return the time a robot loses to starting and stopping on a leg [s]."""
+        return self.cruise(robot) / self.acceleration(robot)

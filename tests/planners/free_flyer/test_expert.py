@@ -1,0 +1,324 @@
+"""The expert keeps the plan's promise, sees only what robots see, and obeys corrections of the impulse."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from impact_envs import InputError, load_scenario, parallel_env, rollout
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.rollout import Episode
+from planners import make_expert, make_plan
+from planners.bezier import Curve
+from planners.free_flyer.expert import FreeFlyerExpert
+from planners.plan import Plan, PlannedImpact
+
+SEED = 1_000_000
+
+
+def load(name: str) -> FreeFlyerScenario:
+    scenario = load_scenario(name)
+    assert isinstance(scenario, FreeFlyerScenario)
+    return scenario
+
+
+@pytest.fixture(scope="module")
+def scenario() -> FreeFlyerScenario:
+    return load("throw_and_catch")
+
+
+@pytest.fixture(scope="module")
+def plan(scenario: FreeFlyerScenario) -> Plan:
+    return make_plan(scenario)
+
+
+@pytest.fixture(scope="module")
+def nominal(scenario: FreeFlyerScenario, plan: Plan) -> Episode:
+    return rollout(parallel_env(scenario), FreeFlyerExpert(scenario, plan), SEED)
+
+
+class Corrected:
+    """The expert with a fixed correction at every impact, or at chosen ones."""
+
+    name = "corrected"
+
+    def __init__(self, expert: FreeFlyerExpert, *corrections: tuple[float, float]) -> None:
+        self.expert, self.corrections = expert, corrections
+
+    def reset(self, seed: int) -> None:
+        self.expert.reset(seed)
+        self.features: list[np.ndarray] = []
+
+    def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        self.expert.observe(observations)
+        if self.expert.awaiting_correction:
+            self.features.append(self.expert.features())
+            self.expert.correct(np.array(self.corrections[min(len(self.features), len(self.corrections)) - 1]))
+        return self.expert.control()
+
+    def diagnostics(self) -> object:
+        return self.expert.diagnostics()
+
+
+def test_keeps_the_promise_of_the_plan(nominal: Episode, plan: Plan) -> None:
+    assert nominal.success
+    assert nominal.robustness >= plan.robustness - 0.01
+    assert nominal.fallbacks == {}
+    assert [(i.a, i.b) for i in nominal.impacts] == [(i.robot, i.object) for i in plan.impacts]
+    for happened, planned in zip(nominal.impacts, plan.impacts, strict=True):
+        assert happened.time == pytest.approx(planned.time, abs=0.01)
+        assert happened.normal @ planned.normal == pytest.approx(1.0, abs=1e-4)
+
+
+def test_keeps_the_promise_in_the_corridor() -> None:
+    corridor = load("corridor")
+    plan = make_plan(corridor)
+    episode = rollout(parallel_env(corridor), FreeFlyerExpert(corridor, plan), SEED)
+    assert episode.success
+    assert episode.robustness >= plan.robustness - 0.01
+
+
+@pytest.mark.parametrize("suite", ["restitution", "mass", "sensing", "drift", "actuation", "all"])
+def test_succeeds_where_the_world_is_not_as_believed(scenario: FreeFlyerScenario, plan: Plan, suite: str) -> None:
+    world = scenario.suite(suite)
+    for seed in (SEED, SEED + 1):
+        assert rollout(parallel_env(world), FreeFlyerExpert(world, plan), seed).success
+
+
+def test_same_seed_same_actions(scenario: FreeFlyerScenario, plan: Plan, nominal: Episode) -> None:
+    again = rollout(parallel_env(scenario), FreeFlyerExpert(scenario, plan), SEED)
+    for name, actions in nominal.actions.items():
+        np.testing.assert_array_equal(again.actions[name], actions)
+
+
+def test_zero_correction_is_the_expert_and_is_asked_for_once_per_impact(
+    scenario: FreeFlyerScenario, plan: Plan, nominal: Episode
+) -> None:
+    policy = Corrected(FreeFlyerExpert(scenario, plan), (0.0, 0.0))
+    episode = rollout(parallel_env(scenario), policy, SEED)
+    for name, actions in nominal.actions.items():
+        np.testing.assert_array_equal(episode.actions[name], actions)
+    assert len(policy.features) == len(plan.impacts)
+    for features in policy.features:
+        assert features.shape == (FreeFlyerExpert.feature_size,)
+        assert np.isfinite(features).all()
+        assert 0.0 < features[7] <= 8.0 + 1e-6  # time to the impact
+    assert [int(np.argmax(features[:6])) for features in policy.features] == [0, 1]
+    assert list(policy.features[0][17:19]) == [1.0, 0.0]  # nothing observed yet
+    assert policy.features[1][17] == pytest.approx(1.0, abs=0.01)  # the throw did what was commanded
+    assert policy.features[1][18] == 1.0
+
+
+def test_observed_ratio_tells_the_true_restitution(scenario: FreeFlyerScenario, plan: Plan) -> None:
+    policy = Corrected(FreeFlyerExpert(scenario, plan), (0.0, 0.0))
+    rollout(parallel_env(scenario.override({"true.restitution": 0.4})), policy, SEED)
+    assert policy.features[1][17] == pytest.approx(1.4 / 1.8, abs=0.01)
+
+
+def test_correction_scales_and_turns_the_impulse(scenario: FreeFlyerScenario, plan: Plan, nominal: Episode) -> None:
+    policy = Corrected(FreeFlyerExpert(scenario, plan), (-0.6, 0.5), (0.0, 0.0))
+    first, before = rollout(parallel_env(scenario), policy, SEED).impacts[0], nominal.impacts[0]
+    assert first.speed == pytest.approx(before.speed * math.exp(-0.3), rel=0.01)
+    turned = before.normal[0] * first.normal[1] - before.normal[1] * first.normal[0]
+    assert math.asin(turned) == pytest.approx(0.15, abs=2e-3)
+
+
+def test_never_sees_the_truth(scenario: FreeFlyerScenario, plan: Plan) -> None:
+    worlds = scenario, scenario.suite("all")
+    experts = [FreeFlyerExpert(world, plan) for world in worlds]
+    assert worlds[0].true != worlds[1].true
+    env = parallel_env(worlds[1])
+    observations, _ = env.reset(seed=SEED)
+    for expert in experts:
+        expert.reset(SEED)
+    for _ in range(150):
+        first, second = (expert.act(observations) for expert in experts)
+        for name in first:
+            np.testing.assert_array_equal(first[name], second[name])
+        observations, *_ = env.step(first)
+
+
+def test_mirrored_scenario_is_played_mirrored(scenario: FreeFlyerScenario, plan: Plan, nominal: Episode) -> None:
+    middle = scenario.world.lower[1] + scenario.world.upper[1]
+    mirrored = mirror_scenario(scenario, middle)
+    episode = rollout(parallel_env(mirrored), FreeFlyerExpert(mirrored, mirror_plan(plan, middle)), SEED)
+    for name in scenario.bodies:
+        np.testing.assert_allclose(episode.signals[f"{name}.x"], nominal.signals[f"{name}.x"], atol=1e-6)
+        np.testing.assert_allclose(episode.signals[f"{name}.y"], middle - nominal.signals[f"{name}.y"], atol=1e-6)
+    assert episode.robustness == pytest.approx(nominal.robustness, abs=1e-6)
+
+
+def mirror_scenario(scenario: FreeFlyerScenario, middle: float) -> FreeFlyerScenario:
+    """Return the scenario with y turned into middle - y."""
+
+    def flip(point: tuple[float, float] | None) -> tuple[float, float] | None:
+        return point and (point[0], middle - point[1])
+
+    robots = {
+        name: robot.model_copy(update={"start": flip(robot.start), "goal": flip(robot.goal)})
+        for name, robot in scenario.robots.items()
+    }
+    objects = {name: item.model_copy(update={"start": flip(item.start)}) for name, item in scenario.objects.items()}
+    regions = {
+        name: region.model_copy(
+            update={
+                "lower": (region.lower[0], middle - region.upper[1]),
+                "upper": (region.upper[0], middle - region.lower[1]),
+            }
+        )
+        for name, region in scenario.regions.items()
+    }
+    return scenario.model_copy(update={"robots": robots, "objects": objects, "regions": regions})
+
+
+def mirror_plan(plan: Plan, middle: float) -> Plan:
+    flip, lift = np.array([1.0, -1.0]), np.array([0.0, middle])
+    impacts = tuple(
+        replace(
+            impact,
+            **{name: flip * getattr(impact, name) + lift for name in ("position", "contact")},
+            **{name: flip * getattr(impact, name) for name in ("normal", "robot_minus", "robot_plus")},
+            **{name: flip * getattr(impact, name) for name in ("object_minus", "object_plus")},
+        )
+        for impact in plan.impacts
+    )
+    curves = [
+        {name: Curve(curve.times, flip * curve.points + lift) for name, curve in table.items()}
+        for table in (plan.robots, plan.objects)
+    ]
+    return replace(plan, impacts=impacts, robots=curves[0], objects=curves[1])
+
+
+def test_never_raises_on_rubbish(scenario: FreeFlyerScenario, plan: Plan) -> None:
+    rng, env = np.random.default_rng(0), parallel_env(scenario)
+    expert = FreeFlyerExpert(scenario, plan)
+    observations, _ = env.reset(seed=SEED)
+    expert.reset(SEED)
+    for k in range(290):
+        for vector in observations.values():
+            if k % 7 == 0:
+                vector[-4] = 1.0  # contact felt
+            if k % 11 == 0:
+                vector[:-4] = np.nan
+            if 100 < k < 130:
+                vector[:-4] += rng.normal(size=len(vector) - 4)
+        actions = expert.act(observations)
+        for action in actions.values():
+            assert np.all(np.abs(action) <= 1.0)
+        observations, *_ = env.step(actions)
+    assert expert.diagnostics().fallbacks["unplanned_contact"] > 0
+
+
+def test_missed_impact_is_tried_again(scenario: FreeFlyerScenario, plan: Plan) -> None:
+    """A felt but wrong position of the object makes the robot miss; seen aright again, it hits."""
+    env, expert = parallel_env(scenario), FreeFlyerExpert(scenario, plan)
+    observations, _ = env.reset(seed=SEED)
+    expert.reset(SEED)
+    hits = []
+    first = plan.impacts[0]
+    beside = 0.45 * np.array([-first.normal[1], first.normal[0]])
+    for k in range(200):
+        if k * 0.1 < first.time + 2.0:
+            for name, vector in observations.items():
+                start = 7 * (1 + len(scenario.robots) - 1)
+                vector[start : start + 2] += beside
+                assert name in scenario.robots
+        observations, *_ = env.step(expert.act(observations))
+        hits += env.impacts
+    assert expert.diagnostics().fallbacks["retry"] == 1
+    assert first.time + 5.0 < hits[0].time < first.time + 8.0
+
+
+def test_corrections_out_of_turn_or_shape_are_refused(scenario: FreeFlyerScenario, plan: Plan) -> None:
+    expert = FreeFlyerExpert(scenario, plan)
+    with pytest.raises(InputError, match="no correction is awaited"):
+        expert.correct(np.zeros(2))
+    with pytest.raises(InputError, match="2 finite numbers"):
+        expert.correct(np.zeros(3))
+
+
+def test_plan_of_something_else_is_refused(scenario: FreeFlyerScenario, plan: Plan) -> None:
+    with pytest.raises(InputError, match="lasts 30 s, scenario throw_and_catch lasts 18 s"):
+        FreeFlyerExpert(scenario.suite("hard"), plan)
+    pair, _ = make_pair()
+    with pytest.raises(InputError, match="has a, b, idle, one, two"):
+        FreeFlyerExpert(pair, plan)
+
+
+def test_make_expert_passes_on_the_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:
+    assert make_expert(scenario, plan).plan == plan
+
+
+def test_several_objects_and_a_robot_without_impacts() -> None:
+    scenario, plan = make_pair()
+    episode = rollout(parallel_env(scenario), FreeFlyerExpert(scenario, plan), SEED)
+    assert sorted((i.a, i.b) for i in episode.impacts) == [("a", "one"), ("b", "two")]
+    for impact in plan.impacts:
+        end = [episode.signals[f"{impact.object}.{axis}"][-1] for axis in "xy"]
+        np.testing.assert_allclose(end, plan.objects[impact.object].position(plan.horizon, "left"), atol=0.01)
+    still = [np.ptp(episode.signals[f"idle.{axis}"]) for axis in "xy"]
+    assert max(still) < 1e-9
+
+
+def make_pair() -> tuple[FreeFlyerScenario, Plan]:
+    """Return two robots that each throw their own object along x at nearly the same time, and an idle third."""
+    base = load("throw_and_catch")
+    robot, item = next(iter(base.robots.values())), next(iter(base.objects.values()))
+    places = {"a": (0.5, 0.5), "b": (0.5, 2.0), "idle": (0.5, 3.3)}
+    scenario = base.override(
+        {
+            "robots": {name: robot.model_dump() | {"start": at, "goal": None} for name, at in places.items()},
+            "objects": {
+                name: item.model_dump() | {"start": at, "rest": False}
+                for name, at in {"one": (1.5, 0.5), "two": (1.5, 2.0)}.items()
+            },
+            "regions": {},
+            "horizon": 20.0,
+            "formula": "F[0,20] one.x >= 1.6",
+        }
+    )
+    impacts, curves, paths = [], {}, {}
+    alpha = 1.8 * robot.mass / (robot.mass + item.mass)
+    for name, target, time in (("a", "one", 10.0), ("b", "two", 10.3)):
+        start, place = np.array(places[name]), np.array(scenario.objects[target].start)
+        n, speed, reach = np.array([1.0, 0.0]), 0.02, robot.radius + item.radius
+        minus, plus = speed / alpha * n, (speed / alpha - speed) * n
+        contact = place - reach * n
+        ahead = [start, start, start, contact - 2 * time / 5 * minus, contact - time / 5 * minus, contact]
+        h = 20.0 - time
+        end = contact + 0.3 * h * plus
+        behind = [contact, contact + h / 5 * plus, contact + 2 * h / 5 * plus, end, end, end]
+        curves[name] = Curve([0.0, time, 20.0], [ahead, behind])
+        path = [[place] * 2, [place, place + h * speed * n]]
+        paths[target] = Curve([0.0, time, 20.0], path)
+        impacts.append(PlannedImpact(time, name, target, place, contact, n, minus, plus, 0 * n, speed * n))
+    curves["idle"] = Curve([0.0, 20.0], [[places["idle"]]])
+    plan = make_plan_of(scenario, tuple(impacts), curves, paths)
+    return scenario, plan
+
+
+def make_plan_of(
+    scenario: FreeFlyerScenario,
+    impacts: tuple[PlannedImpact, ...],
+    robots: dict[str, Curve],
+    objects: dict[str, Curve],
+) -> Plan:
+    return Plan(
+        scenario=scenario.name,
+        objective="robustness",
+        horizon=scenario.horizon,
+        robustness=0.0,
+        bound=0.0,
+        gap=0.0,
+        effort=0.0,
+        effort_bound=None,
+        impacts=impacts,
+        robots=robots,
+        objects=objects,
+        solve_seconds=0.0,
+        stage_seconds={},
+        validated=False,
+    )
