@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,12 +12,10 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import Measurement, read_observations
 from impact_envs.free_flyer.schema import Body, FreeFlyerScenario
 from impact_envs.rollout import Diagnostics
+from planners.free_flyer.course import Course, convert_curve, evaluate_course
 from planners.free_flyer.estimator import Estimator
 from planners.free_flyer.replanner import (
-    Course,
     compute_desired_velocity,
-    convert_curve,
-    evaluate_course,
     follow_plan,
     plan_approach,
     plan_return,
@@ -32,28 +29,8 @@ from planners.plan import Plan
 LOST = 0.1  # tracking error above which a course starts from the estimated state [m]
 SCALE_RANGE = 0.5  # of the logarithm of the impulse, at correction 1
 ROTATION_RANGE = 0.3  # of the impulse, at correction 1 [rad]
-OBSERVABLE = 1.0  # after a contact the object's velocity change can be observed [s]
 SHORTEST_LEG = 5.0  # a delayed impact does not make the object faster than for a leg of this duration [s]
 ONE_HOT = 6
-
-
-@dataclass(eq=False)
-class Hit:
-    """An impact that happened.
-
-    Attributes:
-        object: that was hit.
-        time: when it was felt [s].
-        before: velocity of the object before, shape (2,) [m/s].
-        commanded: size of the commanded velocity change [m/s].
-        ratio: observed over commanded change, 0 until it can be observed.
-    """
-
-    object: str
-    time: float
-    before: np.ndarray
-    commanded: float
-    ratio: float = 0.0
 
 
 def check_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:
@@ -128,7 +105,6 @@ class FreeFlyerExpert:
         self._estimator.reset()
         self._schedule.reset()
         self._accelerations: dict[str, tuple[float, float]] = {}
-        self._hits: list[Hit] = []
         self._awaiting: Strike | None = None
         self._courses: dict[str, Course] = {}
         for name, tracker in self._trackers.items():
@@ -161,7 +137,7 @@ class FreeFlyerExpert:
             self._diagnostics.fallbacks["retry" if again else "give_up"] += 1
             if not again:
                 self._return(strike.planned.robot, strike.planned.time)
-        self._observe_hits()
+        self._schedule.observe_hits({name: self._estimator.velocity(name) for name in before}, self._now)
         self._awaiting = self._schedule.find_due(self._now)
         self._seconds = time.perf_counter() - begin
 
@@ -209,7 +185,7 @@ class FreeFlyerExpert:
         one_hot = np.zeros(ONE_HOT)
         one_hot[min(strike.index, ONE_HOT - 1)] = 1.0
         leg = self._schedule.target(strike)[1] - strike.time
-        ratios = [hit.ratio for hit in self._hits if hit.object == planned.object and hit.ratio > 0.0]
+        ratios = self._schedule.ratios(planned.object)
         robot, item = self._estimator.state(planned.robot), self._estimator.state(planned.object)
         relative = robot - item
         return np.concatenate(
@@ -260,15 +236,12 @@ class FreeFlyerExpert:
 
     def _take_contact(self, robot: str, other: str, before: Mapping[str, np.ndarray]) -> None:
         """Return to the plan after a contact, planned or not."""
-        strike = self._schedule.take_contact(robot, other, self._now)
+        strike = self._schedule.take_contact(robot, other, self._now, before.get(other, np.zeros(2)))
         if strike is None:
             self._diagnostics.fallbacks["unplanned_contact"] += 1
             course = self._courses[robot]
             self._return(robot, course.plan_start + course.rate * (self._now - course.start))
             return
-        if strike.solution is not None:
-            commanded = math.dist(strike.solution.object_plus, strike.solution.object_minus)
-            self._hits.append(Hit(other, self._now, before[other], commanded))
         since = min(max(self._now - strike.time, 0.0), self._scenario.control_period)
         self._return(robot, strike.planned.time + since)
 
@@ -347,11 +320,3 @@ class FreeFlyerExpert:
     def _present_state(self, name: str) -> np.ndarray:
         """Return estimated position and velocity of a body, shape (2, 2) [m, m/s]."""
         return np.array([self._estimator.position(name), self._estimator.velocity(name)])
-
-    def _observe_hits(self) -> None:
-        """Compare what the last impact of each object did with what it should have done."""
-        for hit in {hit.object: hit for hit in self._hits}.values():
-            quiet = self._schedule.last_contact[hit.object] == hit.time
-            if quiet and self._now >= hit.time + OBSERVABLE and hit.commanded > 0.0:
-                change = self._estimator.velocity(hit.object) - hit.before
-                hit.ratio = float(np.hypot(*change)) / hit.commanded

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ EARLIEST = 2.0  # before the expected impact a contact is taken for it [s]
 PATIENCE = 1.5  # after the expected impact it counts as missed [s]
 RETRY = 5.0  # a missed impact is tried again after [s]
 RETRIES = 3
+OBSERVABLE = 1.0  # after a contact the object's velocity change can be observed [s]
 SHORTEST_NOTICE = DECISION_SETTLE + REPLAN_LAST + REPLAN_PERIOD  # of an impact after a contact that came late [s]
 ROUND_OFF = 1e-6  # of times [s]
 
@@ -49,6 +51,25 @@ class Strike:
     solution: TwoBodyImpact | None = None
 
 
+@dataclass(eq=False)
+class Hit:
+    """A planned impact that happened.
+
+    Attributes:
+        object: that was hit.
+        time: when it was felt [s].
+        before: velocity of the object before, shape (2,) [m/s].
+        commanded: size of the commanded velocity change [m/s].
+        ratio: observed over commanded change, 0 until it can be observed.
+    """
+
+    object: str
+    time: float
+    before: np.ndarray
+    commanded: float
+    ratio: float = 0.0
+
+
 class Schedule:
     """Keep the coming impact of every object.
 
@@ -67,6 +88,7 @@ class Schedule:
     def reset(self) -> None:
         """Start from the first impacts."""
         self.strikes: dict[str, Strike] = {}
+        self._hits: list[Hit] = []
         self.last_contact = dict.fromkeys(self.plan.objects, -math.inf)
         for name in self.plan.objects:
             self._advance(name, -1, 0.0)
@@ -112,13 +134,14 @@ class Schedule:
                 return strike
         return None
 
-    def take_contact(self, robot: str, other: str, now: float) -> Strike | None:
+    def take_contact(self, robot: str, other: str, now: float, before: np.ndarray) -> Strike | None:
         """Take note of a contact; the coming impact is done if robot, object and time fit.
 
         Args:
             robot: that felt it.
             other: body it touched, "" for none.
             now: present time [s].
+            before: velocity of that body before, shape (2,) [m/s].
 
         Returns:
             The impact that is done, None if the contact was none of the plan.
@@ -128,8 +151,27 @@ class Schedule:
         strike = self.strikes.get(other)
         if strike is None or strike.planned.robot != robot or now < strike.time - EARLIEST:
             return None
+        if strike.solution is not None:
+            commanded = math.dist(strike.solution.object_plus, strike.solution.object_minus)
+            self._hits.append(Hit(other, now, before, commanded))
         self._advance(other, strike.index, now)
         return strike
+
+    def observe_hits(self, velocities: Mapping[str, np.ndarray], now: float) -> None:
+        """Compare what the last impact of each object did with what it should have done.
+
+        Args:
+            velocities: object to its present velocity, shape (2,) [m/s].
+            now: present time [s].
+        """
+        for hit in {hit.object: hit for hit in self._hits}.values():
+            untouched = self.last_contact[hit.object] == hit.time
+            if untouched and now >= hit.time + OBSERVABLE and hit.commanded > 0.0:
+                hit.ratio = math.dist(velocities[hit.object], hit.before) / hit.commanded
+
+    def ratios(self, name: str) -> list[float]:
+        """Return observed over commanded velocity change at the impacts of an object, in order of time."""
+        return [hit.ratio for hit in self._hits if hit.object == name and hit.ratio > 0.0]
 
     def take_misses(self, now: float) -> list[tuple[Strike, bool]]:
         """Put off the impacts that are overdue, or give them up.

@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 
 from planners.bezier import Curve
-from planners.free_flyer.replanner import (
+from planners.free_flyer.course import (
     Course,
     PowerCurve,
-    compute_desired_velocity,
     convert_curve,
     evaluate_course,
     evaluate_curve,
     fit_quintic,
+)
+from planners.free_flyer.replanner import (
+    compute_desired_velocity,
     follow_plan,
     plan_approach,
     plan_return,

@@ -13,6 +13,7 @@ from planners.free_flyer.two_body import solve_two_body_impact
 from planners.plan import Plan, PlannedImpact
 
 HORIZON = 100.0
+STILL = np.zeros(2)
 
 
 def make_plan(*impacts: tuple[float, str, str]) -> Plan:
@@ -55,12 +56,12 @@ def test_every_object_waits_for_its_own_next_impact(schedule: Schedule) -> None:
     assert coming(schedule, "snap").index == 0
     assert schedule.strike_of("crackle") is None  # pop has to be thrown first
     assert schedule.next_impact("crackle") == (30, 30)
-    assert schedule.take_contact("snap", "pop", 10.1) is not None
+    assert schedule.take_contact("snap", "pop", 10.1, STILL) is not None
     assert coming(schedule, "crackle").index == 1
     assert coming(schedule, "snap").index == 2
-    schedule.take_contact("crackle", "pop", 30.0)
+    schedule.take_contact("crackle", "pop", 30.0, STILL)
     assert schedule.next_impact("crackle") == (HORIZON, HORIZON)
-    schedule.take_contact("snap", "pip", 40.0)
+    schedule.take_contact("snap", "pip", 40.0, STILL)
     assert not schedule.is_last(Strike(schedule.plan.impacts[1], 1, 30.0))
     assert schedule.is_last(coming(schedule, "snap"))
 
@@ -75,16 +76,16 @@ def test_target_is_the_next_knot_or_the_end(schedule: Schedule) -> None:
 
 
 def test_contacts_that_are_none_of_the_plan(schedule: Schedule) -> None:
-    assert schedule.take_contact("crackle", "pop", 10.0) is None  # wrong robot
-    assert schedule.take_contact("snap", "", 10.0) is None  # a wall
-    assert schedule.take_contact("snap", "crackle", 10.0) is None
-    assert schedule.take_contact("snap", "pop", 5.0) is None  # far too early
+    assert schedule.take_contact("crackle", "pop", 10.0, STILL) is None  # wrong robot
+    assert schedule.take_contact("snap", "", 10.0, STILL) is None  # a wall
+    assert schedule.take_contact("snap", "crackle", 10.0, STILL) is None
+    assert schedule.take_contact("snap", "pop", 5.0, STILL) is None  # far too early
     assert schedule.strikes["pop"].index == 0
     assert schedule.last_contact == {"pop": 5.0, "pip": -math.inf}
 
 
 def test_replans_every_half_second_in_the_window(schedule: Schedule) -> None:
-    schedule.take_contact("snap", "pop", 10.0)
+    schedule.take_contact("snap", "pop", 10.0, STILL)
     strike, times = coming(schedule, "crackle"), []
     for k in range(350):
         now = 0.1 * k
@@ -102,13 +103,13 @@ def test_correction_is_due_once_per_impact(schedule: Schedule) -> None:
     assert strike is schedule.strikes["pop"]
     strike.decided = True
     assert schedule.find_due(9.0) is None
-    schedule.take_contact("snap", "pop", 21.0)  # late
+    schedule.take_contact("snap", "pop", 21.0, STILL)  # late
     assert schedule.find_due(23.4) is None  # 22 s, but the object is not yet seen well
     assert schedule.find_due(23.5) is schedule.strikes["pop"]
 
 
 def test_late_impact_leaves_notice_for_the_next_one(schedule: Schedule) -> None:
-    schedule.take_contact("snap", "pop", 29.0)
+    schedule.take_contact("snap", "pop", 29.0, STILL)
     assert schedule.strikes["pop"].time == pytest.approx(33.0)
 
 
@@ -138,3 +139,17 @@ def test_no_second_try_after_the_horizon() -> None:
     schedule = Schedule(make_plan((95.0, "snap", "pop")))
     assert schedule.take_misses(97.0)[0][1] is False
     assert schedule.strikes == {}
+
+
+def test_observed_ratio_waits_for_the_velocity_and_ends_with_the_next_contact(schedule: Schedule) -> None:
+    schedule.strikes["pop"].solution = solve_two_body_impact(
+        (0.0, 0.0), (0.0, 0.0), (0.1, 0.0), (0.0, 0.0), (1.0, 0.0), 1.0, 1.0, 0.8, 0.4, 0.3
+    )
+    schedule.take_contact("snap", "pop", 10.0, STILL)
+    for now, speed in ((10.9, 0.5), (11.0, 0.07), (12.0, 0.08)):
+        schedule.observe_hits({"pop": np.array([speed, 0.0])}, now)
+        assert schedule.ratios("pop") == ([] if now < 11.0 else [pytest.approx(speed / 0.1)])
+    schedule.take_contact("crackle", "pop", 13.0, STILL)  # not the planned time: a disturbance
+    schedule.observe_hits({"pop": np.array([0.3, 0.0])}, 15.0)
+    assert schedule.ratios("pop") == [pytest.approx(0.8)]
+    assert schedule.ratios("pip") == []

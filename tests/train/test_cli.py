@@ -1,0 +1,126 @@
+"""What users type does what the interface promises: JSON last and alone, one line and exit code 2 on bad input."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from impact_envs import list_scenarios
+from train.cli import main
+
+
+def run(capsys, *arguments):
+    code = main(arguments)
+    said = capsys.readouterr()
+    return code, said.out, said.err
+
+
+def result(capsys, *arguments):
+    code, out, err = run(capsys, *arguments, "--json")
+    assert code == 0, err
+    assert len(out.splitlines()) == 1
+    return json.loads(out)
+
+
+def test_list_names_every_scenario(capsys):
+    listed = result(capsys, "list")["scenarios"]
+    assert [entry["name"] for entry in listed] == list(list_scenarios())
+    assert {"domain", "gym_id", "horizon", "agents"} <= listed[0].keys()
+
+
+def test_plan_of_the_corridor_is_proven(capsys, tmp_path):
+    out, csv = tmp_path / "plan.json", tmp_path / "samples"
+    plan = result(capsys, "plan", "corridor", "--out", str(out), "--csv", str(csv))
+    assert plan["robustness"] == plan["bound"] == 0.75
+    assert plan["gap"] == 0
+    assert plan["validated"]
+    assert [hit["robot"] for hit in plan["impacts"]] == ["snap", "crackle"]
+    assert json.loads(out.read_text())["scenario"] == "corridor"
+    assert sorted(path.name for path in csv.iterdir()) == ["crackle.csv", "pop.csv", "snap.csv"]
+
+
+def test_a_stored_plan_is_run(capsys, tmp_path):
+    out = tmp_path / "plan.json"
+    plan = result(capsys, "plan", "throw_and_catch", "--out", str(out))
+    episode = result(capsys, "run", "throw_and_catch", "--plan", str(out), "--seed", "3")
+    assert episode["success"]
+    assert episode["robustness"] == pytest.approx(plan["robustness"], abs=0.01)
+    assert len(episode["impacts"]) == len(plan["impacts"])
+    assert episode["solve_ms"].keys() == {"p50", "p99", "max"}
+
+
+def test_run_takes_values_and_suites(capsys):
+    dead = result(capsys, "run", "throw_and_catch", "--policy", "zero", "--set", "true.restitution=0.5")
+    assert not dead["success"]
+    assert dead["effort"] == 0.0
+    assert result(capsys, "run", "throw_and_catch", "--policy", "random", "--suite", "all")["suite"] == "all"
+
+
+@pytest.mark.slow
+def test_run_renders_a_film(capsys, tmp_path):
+    film = tmp_path / "throw.gif"
+    result(capsys, "run", "throw_and_catch", "--policy", "zero", "--render", str(film))
+    assert film.stat().st_size > 10_000
+
+
+def test_evaluate_and_report(capsys, tmp_path):
+    out = tmp_path / "evaluation"
+    arguments = ("evaluate", "throw_and_catch", "--policies", "expert", "zero", "--episodes", "2", "--out", str(out))
+    table = result(capsys, *arguments)
+    assert [row["policy"] for row in table["rows"]] == ["expert", "zero"]
+    assert table["rows"][0]["success_rate"] == 1.0
+    assert {table["paired"][0]["a"], table["paired"][0]["b"]} == {"expert", "zero"}
+    report = result(capsys, "report", str(out))["report"]
+    assert "</html>" in open(report).read()
+
+
+BAD = {
+    "scenario": (("plan", "coridor"), ["coridor", "corridor"]),
+    "file": (("plan", "no/such.toml"), ["no/such.toml"]),
+    "option": (("plan", "corridor", "--objectve", "robustness"), ["--objectve"]),
+    "number": (("run", "corridor", "--seed", "x"), ["--seed", "'x'"]),
+    "negative seed": (("run", "corridor", "--seed", "-1"), ["seed -1"]),
+    "set key": (("run", "corridor", "--set", "true.restitutoin=0.5"), ["restitutoin", "restitution"]),
+    "set form": (("run", "corridor", "--set", "true.restitution"), ["KEY=VALUE"]),
+    "set value": (("run", "corridor", "--set", "true.restitution=1.5"), ["true.restitution", "1.5"]),
+    "policy": (("run", "corridor", "--policy", "experte"), ["experte", "expert"]),
+    "suite": (("evaluate", "corridor", "--suite", "mas"), ["mas", "mass"]),
+    "plan file": (("run", "corridor", "--plan", "nope.json"), ["nope.json"]),
+    "film": (("run", "corridor", "--render", "film.avi"), ["film.avi", ".mp4"]),
+    "plan folder": (("plan", "corridor", "--out", "no/such/plan.json"), ["no/such"]),
+    "report": (("report", "nowhere"), ["nowhere"]),
+    "command": (("frobnicate",), ["frobnicate", "plan"]),
+    "algorithm": (("train", "corridor", "--algo", "dqn"), ["dqn", "ppo", "sac"]),
+    "episodes": (("evaluate", "corridor", "--episodes", "0"), ["episodes 0"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_exit_code_2(case, capsys):
+    arguments, words = BAD[case]
+    code, out, err = run(capsys, *arguments)
+    assert code == 2
+    assert out == ""
+    assert len(err.strip().splitlines()) == 1, err
+    for word in words:
+        assert word in err
+
+
+def test_no_plan_is_exit_code_1(capsys):
+    scenario = "throw_and_catch"
+    from impact_envs import load_scenario
+    from planners import Infeasible, make_plan
+
+    with pytest.raises(Infeasible) as caught:
+        make_plan(load_scenario(scenario), max_impacts=1)
+    assert caught.value.remedy
+    code, out, err = run(capsys, "plan", scenario, "--max-impacts", "1")
+    assert (code, out) == (1, "")
+    assert len(err.strip().splitlines()) == 1
+
+
+def test_the_command_is_installed():
+    said = subprocess.run([sys.executable, "-m", "train.cli", "list", "--json"], capture_output=True, text=True)
+    assert said.returncode == 0
+    assert len(json.loads(said.stdout)["scenarios"]) == len(list_scenarios())
