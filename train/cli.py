@@ -29,6 +29,7 @@ from impact_envs.scenario import list_scenarios, load_scenario
 from planners.errors import PlanningError
 
 EVALUATION_SEED = 2_000_000
+TABLE_WIDTH = 140  # columns; a narrower table would cut its numbers
 DEMO_SCENARIOS = ("throw_and_catch", "corridor")
 DEMO_POLICY = "throw_and_catch_restitution"
 
@@ -442,6 +443,7 @@ def _plain(value: Any) -> Any:
 def _show(command: Command, result: dict[str, Any]) -> None:
     """Print a result for people."""
     console = Console()
+    console.width = max(console.width, TABLE_WIDTH)
     if "scenarios" in result:
         console.print(_table(result["scenarios"]))
     if "rows" in result:
@@ -470,10 +472,12 @@ def _text(value: Any) -> str:
 
 
 def _evaluation_table(rows: Sequence[dict[str, Any]]) -> Table:
+    names = ("scenario", "suite", "policy", "n", "success", "robustness [m]", "effort", "hits", "p99 ms", "fallbacks")
     table = Table(
-        "scenario", "suite", "policy", "episodes", "success [95 %]", "robustness median [95 %] m",
-        "effort N s", "impacts", "solve p99 ms", "fallbacks",
-    )  # fmt: skip
+        *(Column(name, no_wrap=True) for name in names),
+        caption="[95 % intervals]: Wilson of success, bootstrap of median robustness; effort in N s",
+        padding=(0, 1, 0, 0),
+    )
     for row in rows:
         low, high = row["success_ci"]
         rho_low, rho_high = row["robustness_ci"]

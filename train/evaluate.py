@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -110,8 +111,12 @@ def evaluate(
         journal.write_manifest(_describe(cases, labels, episodes, seed))
     cases = _make_plans(cases, missing)
     bar = (TextColumn("evaluating"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*bar, console=Console(stderr=True), disable=not progress) as shown:
-        for row, replay in shown.track(play(cases, missing, workers), total=len(missing)):
+    # Closed, not left to the garbage collector: an interruption must reach the workers at once.
+    with (
+        Progress(*bar, console=Console(stderr=True), disable=not progress) as shown,
+        closing(play(cases, missing, workers)) as outcomes,
+    ):
+        for row, replay in shown.track(outcomes, total=len(missing)):
             rows[row_key(row)] = row
             if journal:
                 journal.append(row, replay)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,7 +105,7 @@ def make_policy(name: str, scenario: str | Path | Scenario, plan: Plan | None = 
     return ResidualPolicy.load(checkpoint_directory(name), loaded, plan)
 
 
-def play(cases: Sequence[Case], jobs: Sequence[Job], workers: int = 1) -> Iterator[Outcome]:
+def play(cases: Sequence[Case], jobs: Sequence[Job], workers: int = 1) -> Generator[Outcome]:
     """Play episodes and yield each outcome as it finishes.
 
     Outcomes do not depend on the number of workers, except for measured times.
@@ -127,13 +127,13 @@ def play(cases: Sequence[Case], jobs: Sequence[Job], workers: int = 1) -> Iterat
         yield from map(_Player(cases).play, jobs)
         return
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(jobs)), spawn, _start_worker, (cases, jobs)) as pool:
-        try:
-            for future in as_completed([pool.submit(_play_in_worker, job) for job in jobs]):
-                yield future.result()
-        finally:
-            # Reached early by Ctrl-C or a failure: do not play what is still queued.
-            pool.shutdown(wait=False, cancel_futures=True)
+    pool = ProcessPoolExecutor(min(workers, len(jobs)), spawn, _start_worker, (cases, jobs))
+    try:
+        for future in as_completed([pool.submit(_play_in_worker, job) for job in jobs]):
+            yield future.result()
+    finally:
+        # Reached early by Ctrl-C or a failure: what is still queued is not played.
+        pool.shutdown(cancel_futures=True)
 
 
 class _Player:
@@ -145,6 +145,7 @@ class _Player:
         self._policies: dict[tuple[int, str], Policy] = {}
 
     def play(self, job: Job) -> Outcome:
+        """Return an episode's row, and its replay if one is wanted."""
         case, key = self._cases[job.case], (job.case, job.policy)
         if job.case not in self._envs:
             self._envs[job.case] = parallel_env(case.scenario)

@@ -13,8 +13,8 @@ from __future__ import annotations
 import shutil
 import signal
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -184,22 +184,19 @@ def make_envs(args: Args, scenario: Scenario, plan: Plan) -> VecNormalize:
         scenario: what to train on.
         plan: for the experts to follow.
     """
-
-    def make_env(in_subprocess: bool) -> Callable[[], ResidualEnv]:
-        def make() -> ResidualEnv:
-            if in_subprocess:
-                # Stopping is the parent's to handle; without it the pipe ends, and so does the process.
-                for number in (signal.SIGINT, signal.SIGTERM):
-                    signal.signal(number, signal.SIG_IGN)
-            return ResidualEnv(scenario, args.suite, plan)
-
-        return make
-
     apart = args.subprocesses and args.n_envs > 1
-    makers = [make_env(apart) for _ in range(args.n_envs)]
+    makers = [partial(_make_env, scenario, args.suite, plan, apart)] * args.n_envs
     envs: VecEnv = SubprocVecEnv(makers, start_method="spawn") if apart else DummyVecEnv(makers)  # type: ignore[arg-type]
     # A feature that hardly varies keeps a spread of 1e-3, so that it is not blown up to noise.
     return VecNormalize(envs, norm_reward=False, gamma=1.0, epsilon=1e-6)
+
+
+def _make_env(scenario: Scenario, suite: str, plan: Plan, apart: bool) -> ResidualEnv:
+    if apart:
+        # Stopping is the parent's to handle; without it the pipe ends, and so does this process.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+    return ResidualEnv(scenario, suite, plan)
 
 
 def make_model(args: Args, envs: VecNormalize) -> Model:

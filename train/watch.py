@@ -47,12 +47,12 @@ def stop_on_signals() -> Iterator[threading.Event]:
         return
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
-    def stop(number: int, frame: Any) -> None:
+    def _stop(number: int, frame: Any) -> None:
         stopping.set()
         signal.signal(number, before[signal.Signals(number)])
 
     for number in before:
-        signal.signal(number, stop)
+        signal.signal(number, _stop)
     try:
         yield stopping
     finally:

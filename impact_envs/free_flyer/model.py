@@ -23,7 +23,6 @@ from impact_envs.free_flyer.pair import (
     compute_press,
     find_contact,
     find_time_of_impact,
-    is_exact,
     part,
 )
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
@@ -36,7 +35,7 @@ from impact_envs.physics.impact import Impact, compute_restitution, solve_contac
 LOW_SPEED = 1e-4
 # Bodies this near [m] rest on each other if they close in no faster than this [m/s], and part no faster than
 # the contact solver's skin lets it see over a contact step. Smaller accelerations are rounding [m/s^2].
-REST_GAP, REST_SPEED, PART_SPEED = 1e-5, 1e-9, SKIN / CONTACT_STEP
+REST_GAP, REST_SPEED, PART_SPEED = 1e-5, 1e-7, SKIN / CONTACT_STEP
 REST_PRESS = 1e-9
 # Impacts this close in time are solved together, so that symmetric squeezes stay symmetric [s].
 SIMULTANEOUS = 1e-12
@@ -82,6 +81,8 @@ class FreeFlyerModel:
         self._bodies = [self._make_body(name) for name in self.scenario.bodies] + self._fixed
         self._movable = self._bodies[: len(self.scenario.bodies)]
         self._robots = {name: self._bodies[i] for i, name in enumerate(self.scenario.robots)}
+        tables = [self.scenario.body(name) for name in self.scenario.bodies]
+        self.set_state(np.array([(*table.start, 0.0, 0.0, table.heading, 0.0) for table in tables]))
         self._masses = np.array([m for body in self._movable for m in (body.mass, body.mass, body.inertia)])
 
     @property
@@ -101,6 +102,19 @@ class FreeFlyerModel:
             x, y, heading = body.centre()
             rows.append((x, y, *body.velocity_at((x, y)), heading, body.omega))
         return np.array(rows)
+
+    def set_state(self, states: np.ndarray) -> None:
+        """Move all bodies to a state; time and what on/off thrusters owe go on.
+
+        Args:
+            states: as ``state`` returns them, shape (bodies, 6).
+        """
+        for body, row in zip(self._movable, states, strict=True):
+            x, y, vx, vy, heading, omega = map(float, row)
+            c, s = math.cos(heading), math.sin(heading)
+            rx, ry = c * body.offset[0] - s * body.offset[1], s * body.offset[0] + c * body.offset[1]
+            body.x, body.y, body.heading = x + rx, y + ry, heading
+            body.vx, body.vy, body.omega = vx - omega * ry, vy + omega * rx, omega
 
     def step(self, controls: Mapping[str, np.ndarray]) -> list[Impact]:
         """Advance one control period under held controls.
@@ -131,7 +145,6 @@ class FreeFlyerModel:
         table, physics = self.scenario.body(name), self.physics
         ox, oy = (float(c) for c in physics.center_of_mass.get(name, (0.0, 0.0)))
         drift = physics.drift.get(name, (0.0, 0.0))
-        c, s = math.cos(table.heading), math.sin(table.heading)
         return Body(
             name,
             table.radius,
@@ -139,9 +152,6 @@ class FreeFlyerModel:
             (ox, oy),
             float(physics.masses[name]),
             float(physics.inertias[name]),
-            x=table.start[0] + c * ox - s * oy,
-            y=table.start[1] + s * ox + c * oy,
-            heading=table.heading,
             ax=float(drift[0]),
             ay=float(drift[1]),
         )
@@ -229,12 +239,11 @@ class FreeFlyerModel:
         """Return when the first impact happens, infinity if not within end, and which pairs take part."""
         first, times = math.inf, {}
         for pair in near:
-            a, b = self._both(pair)
-            # Centred discs cannot sink into what they rest on; a polygon can, rolling onto its next corner.
-            if pair not in resting or not is_exact(a, b):
-                times[pair] = find_time_of_impact(a, b, pair in resting, min(end, first + SIMULTANEOUS))
-                first = min(first, times[pair])
-        return first, [pair for pair, time in times.items() if time <= min(end, first + SIMULTANEOUS)]
+            end = min(end, first + SIMULTANEOUS)
+            times[pair] = find_time_of_impact(*self._both(pair), pair in resting, end)
+            first = min(first, times[pair])
+        end = min(end, first + SIMULTANEOUS)
+        return first, [pair for pair, time in times.items() if time <= end]
 
     def _both(self, pair: Pair) -> tuple[Body, Body]:
         return self._bodies[pair[0]], self._bodies[pair[1]]

@@ -10,8 +10,8 @@ from impact_envs.physics.time_of_impact import find_crossing, find_disc_impact, 
 
 # Lasting contacts hold their forces for this long [s].
 CONTACT_STEP = 0.01
-# Polygons may graze each other unseen over this much motion, touch when they overlap by this much, and sink
-# this much into what they rest on [m].
+# Polygons may graze each other unseen over this much motion, and touch when they overlap by this much; all
+# bodies may sink this much into what they rest on [m].
 STRIDE, GRAZE, SINK = 1e-3, 1e-10, 1e-6
 
 
@@ -44,11 +44,6 @@ def compute_press(a: Body, b: Body, contact: Contact) -> float:
     return 2 * (contact.gap - compute_approach(a, b, contact) * h - gap) / h**2
 
 
-def is_exact(a: Body, b: Body) -> bool:
-    """Return whether the time of impact is the root of a polynomial: centred discs, and fixed polygons."""
-    return a.lever == 0.0 and b.lever == 0.0
-
-
 def find_time_of_impact(a: Body, b: Body, resting: bool, end: float) -> float:
     """Return when two bodies touch in free flight.
 
@@ -61,17 +56,18 @@ def find_time_of_impact(a: Body, b: Body, resting: bool, end: float) -> float:
     Returns:
         Time from now, infinity if it does not happen [s].
     """
-    if not is_exact(a, b):
+    if a.lever > 0 or b.lever > 0:
         rate = math.hypot(a.vx - b.vx, a.vy - b.vy) + math.hypot(a.ax - b.ax, a.ay - b.ay) * end
         rate += a.lever * (abs(a.omega) + abs(a.alpha) * end)
         rate += b.lever * (abs(b.omega) + abs(b.alpha) * end)
         slack = SINK if resting else GRAZE
         return find_crossing(lambda t: compute_contact(a.shape(t), b.shape(t)).gap, rate, STRIDE, slack, end)
+    slack = SINK if resting else 0.0
     if b.fixed:
         motion = (a.x, a.y, a.vx, a.vy, a.ax, a.ay)
-        return min(find_face_impact(*motion, face, a.radius, end) for face in b.faces)
+        return min(find_face_impact(*motion, face, a.radius, slack, end) for face in b.faces)
     relative = (a.x - b.x, a.y - b.y, a.vx - b.vx, a.vy - b.vy, a.ax - b.ax, a.ay - b.ay)
-    return find_disc_impact(*relative, a.radius + b.radius, end)
+    return find_disc_impact(*relative, a.radius + b.radius, slack, end)
 
 
 def part(a: Body, b: Body, contact: Contact) -> None:

@@ -144,9 +144,10 @@ def solve_contacts(
     Per contact, with u = N v the speed of separation and W = N M^-1 N':
     0 <= p  is complementary to  u+ + e u- >= 0,  and  |q| <= mu p  with  q  stopping the slip left when
     compression ends, where it can. One contact without friction is ``compute_impulse``. Frictionless contacts
-    never gain energy for e <= 1: each adds p (u+ + u-) / 2 = p u- (1 - e) / 2 <= 0. One contact with friction
-    is the algebraic law of Chatterjee & Ruina with tangential restitution 0, which never gains energy either
-    (stopping the slip left when restitution ends would, wherever normal and tangential motion are coupled).
+    add the energy sum p u- (1 - e) / 2, which is never positive if all close in, or if all have the same e.
+    One contact with friction is the algebraic law of Chatterjee & Ruina with tangential restitution 0, which
+    never gains energy either (stopping the slip left when restitution ends would, wherever normal and
+    tangential motion are coupled).
 
     Args:
         normals: N, one row per contact, u = N v positive when parting, shape (k, n).
@@ -166,7 +167,7 @@ def solve_contacts(
     k = len(normals)
     to_velocity = np.linalg.solve(mass_matrix, normals.T)
     separation = normals @ velocity
-    goal = -restitution * np.minimum(separation, 0.0)
+    goal = -restitution * separation
     W = normals @ to_velocity
     p = _gauss_seidel(W, separation, goal)
     if friction == 0 or tangents is None:

@@ -22,13 +22,12 @@ def find_first_root(c0: float, c1: float, c2: float, c3: float, c4: float, end: 
     none.
 
     Args:
-        c0, c1, c2, c3, c4: coefficients [m], [m/s], ...; c0 < 0 (overlap) counts as 0.
+        c0, c1, c2, c3, c4: coefficients [m], [m/s], ...; c0 >= 0.
         end: last time looked at [s].
 
     Returns:
         First t in [0, end] with f(t) = 0 and f'(t) < 0, infinity if there is none [s].
     """
-    c0 = max(c0, 0.0)
     t = 0.0
     for _ in range(NEWTON_STEPS):
         f = c0 + t * (c1 + t * (c2 + t * (c3 + t * c4)))
@@ -54,7 +53,15 @@ def find_first_root(c0: float, c1: float, c2: float, c3: float, c4: float, end: 
 
 
 def find_disc_impact(
-    x: float, y: float, vx: float, vy: float, ax: float, ay: float, radius: float, end: float
+    x: float,
+    y: float,
+    vx: float,
+    vy: float,
+    ax: float,
+    ay: float,
+    radius: float,
+    slack: float,
+    end: float,
 ) -> float:
     """Return when a point in uniformly accelerated motion first enters a circle round the origin.
 
@@ -65,6 +72,7 @@ def find_disc_impact(
         vx, vy: velocity [m/s].
         ax, ay: acceleration [m/s^2].
         radius: of the circle, above 0 [m].
+        slack: overlap beyond the present one that is let pass [m].
         end: last time looked at [s].
 
     Returns:
@@ -72,7 +80,7 @@ def find_disc_impact(
     """
     scale = 0.5 / radius  # makes f the gap, to first order
     return find_first_root(
-        scale * (x * x + y * y - radius * radius),
+        max(scale * (x * x + y * y - radius * radius), 0.0) + slack,
         2 * scale * (x * vx + y * vy),
         scale * (vx * vx + vy * vy + x * ax + y * ay),
         scale * (vx * ax + vy * ay),
@@ -90,6 +98,7 @@ def find_face_impact(
     ay: float,
     face: tuple[float, float, float, float, float],
     radius: float,
+    slack: float,
     end: float,
 ) -> float:
     """Return when a disc first touches one face of a fixed polygon, or the corner where the face starts.
@@ -99,6 +108,7 @@ def find_face_impact(
         face: start corner (px, py), outward unit normal (nx, ny) and length; an infinite one has no corner
             [m].
         radius: of the disc [m].
+        slack: overlap beyond the present one that is let pass [m].
         end: last time looked at [s].
 
     Returns:
@@ -110,7 +120,7 @@ def find_face_impact(
     hit = math.inf
     # Overlap of the face from outside counts as touching; from behind it is no contact with this face.
     fall = find_fall(
-        max(outside - radius, 0.0) if outside > 0 else outside - radius,
+        (max(outside - radius, 0.0) if outside > 0 else outside - radius) + slack,
         nx * vx + ny * vy,
         nx * ax + ny * ay,
     )
@@ -119,7 +129,7 @@ def find_face_impact(
         if length == math.inf or 0 <= along <= length:
             hit = fall
     if length < math.inf:
-        hit = min(hit, find_disc_impact(x, y, vx, vy, ax, ay, radius, min(hit, end)))
+        hit = min(hit, find_disc_impact(x, y, vx, vy, ax, ay, radius, slack, min(hit, end)))
     return hit
 
 

@@ -21,6 +21,8 @@ FILTER_SIZE = 12
 NEAR = 0.1  # a felt impact is blamed on a body closer than this gap [m]
 UNTRUSTED_JUMP = 0.5  # standard deviation of a modelled velocity jump, relative to its size
 UNKNOWN_JUMP = 0.002  # the same, at least [m/s]
+START_POSITION = 1e-3  # bodies start where the scenario says [m]
+START_VELOCITY = 1e-4  # and at rest [m/s]; knowing this makes a small drift visible early
 SURPRISE = 6.0  # standard deviations, and
 SURPRISE_FLOOR = 2e-3  # [m] beyond which a position tells of an unseen event, such as a bounce off a wall
 
@@ -221,7 +223,7 @@ class Estimator:
     def _open(self, name: str) -> np.ndarray:
         z = np.zeros(FILTER_SIZE)
         z[0:2] = self.scenario.body(name).start
-        z[6], z[9] = self.sigma**2, UNKNOWN_JUMP**2
+        z[6], z[9] = START_POSITION**2, START_VELOCITY**2
         z[11] = self.noise.drift**2 if name in self.scenario.objects else 0.0
         return z
 

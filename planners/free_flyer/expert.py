@@ -30,6 +30,10 @@ LOST = 0.1  # tracking error above which a course starts from the estimated stat
 SCALE_RANGE = 0.5  # of the logarithm of the impulse, at correction 1
 ROTATION_RANGE = 0.3  # of the impulse, at correction 1 [rad]
 SHORTEST_LEG = 5.0  # a delayed impact does not make the object faster than for a leg of this duration [s]
+# An unknown restitution errs the same way at the first and the last impact, so its effects on position and velocity
+# partly cancel: the last impact corrects the whole deviation only if as much time is left [s],
+FULL_CORRECTION = 15.0
+SAME_SIDE = 0.5  # and nothing of it if the impulse had to turn from the planned normal by more than this cosine
 ONE_HOT = 6
 
 
@@ -181,7 +185,7 @@ class FreeFlyerExpert:
             return np.zeros(self.feature_size)
         planned = strike.planned
         position, velocity = self._estimator.extrapolate(planned.object, strike.time)
-        desired = self._desired_velocity(strike, position)
+        desired = self._desired_velocity(strike, position, velocity)
         one_hot = np.zeros(ONE_HOT)
         one_hot[min(strike.index, ONE_HOT - 1)] = 1.0
         leg = self._schedule.target(strike)[1] - strike.time
@@ -256,7 +260,7 @@ class FreeFlyerExpert:
         """Plan the course to an impact, from the object as it is seen now."""
         planned = strike.planned
         position, velocity = self._estimator.extrapolate(planned.object, strike.time)
-        change = self._desired_velocity(strike, position) - velocity
+        change = self._desired_velocity(strike, position, velocity) - velocity
         scale = math.exp(SCALE_RANGE * strike.correction[0])
         angle = ROTATION_RANGE * strike.correction[1]
         c, s = math.cos(angle), math.sin(angle)
@@ -287,14 +291,21 @@ class FreeFlyerExpert:
         strike.replanned = self._now
         self._diagnostics.replans += 1
 
-    def _desired_velocity(self, strike: Strike, position: np.ndarray) -> np.ndarray:
-        """Return the velocity the object should have after the impact, shape (2,) [m/s]."""
-        name = strike.planned.object
-        item, (target, due) = self._scenario.objects[name], self._schedule.target(strike)
-        if item.rest and self._schedule.is_last(strike):
-            target = position
-        duration = max(due - strike.time, min(SHORTEST_LEG, due - strike.planned.time))
-        return compute_desired_velocity(position, target, duration, self._estimator.drift(name), item.speed_limit)
+    def _desired_velocity(self, strike: Strike, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Return the velocity the object should have after the impact, given its state before, shape (2,) [m/s]."""
+        name, planned = strike.planned.object, strike.planned
+        limit, drift = self._scenario.objects[name].speed_limit, self._estimator.drift(name)
+        target, due = self._schedule.target(strike)
+        duration = max(due - strike.time, min(SHORTEST_LEG, due - planned.time))
+        if not self._schedule.is_last(strike):
+            return compute_desired_velocity(position, target, duration, drift, limit)
+        deviation = position - planned.position
+        share = min(1.0, duration / FULL_CORRECTION)
+        desired = compute_desired_velocity(position, target + (1.0 - share) * deviation, duration, drift, limit)
+        change = desired - velocity
+        if change @ planned.normal >= SAME_SIDE * float(np.hypot(*change)):
+            return desired
+        return compute_desired_velocity(position, target + deviation, duration, drift, limit)
 
     def _track(self, name: str, strike: Strike | None) -> np.ndarray:
         """Return one robot's action, and remember the acceleration it should cause."""

@@ -116,6 +116,7 @@ def fill_reference(
     after: tuple[float, float],
     mass: float,
     heading: float,
+    sample: np.ndarray,
     states: np.ndarray,
     inputs: np.ndarray,
 ) -> None:
@@ -129,11 +130,11 @@ def fill_reference(
         after: velocity of the robot after the predicted impact [m/s].
         mass: of the robot [kg].
         heading: measured heading, which turns forces into the body frame [rad].
+        sample: scratch, shape (3, 2).
         states: columns x, y, vx, vy are written, shape (11, 6).
         inputs: columns Fx, Fy are written, shape (10, 3) [N].
     """
     c, s = np.cos(heading), np.sin(heading)
-    sample = np.empty((3, 2))
     t = now
     for k in range(len(durations) + 1):
         if jump_node == NO_JUMP or k <= jump_node:
@@ -179,18 +180,16 @@ def sample_reference(
 
     Source: Verhagen & Tumova, Sec. VII: Eq. 7 in the prediction at t_m = t_impact.
     """
-    h = problem.period
+    h, mass, sample = problem.period, 1.0 / problem.gains[0], np.empty((3, 2))
     states, inputs, durations = np.zeros((STAGES + 1, 6)), np.zeros((STAGES, 3)), np.full(STAGES, h)
     states[:, 2] = home
     ahead = course.end - now
-    jumps = impact is not None and course.impact and 0.0 <= ahead < (STAGES - 0.5) * h
-    if not jumps or impact is None:
-        fill_reference(course, now, durations, NO_JUMP, (0.0, 0.0), 1.0 / problem.gains[0], heading, states, inputs)
+    if impact is None or not course.impact or not 0.0 <= ahead < (STAGES - 0.5) * h:
+        fill_reference(course, now, durations, NO_JUMP, (0.0, 0.0), mass, heading, sample, states, inputs)
         return Reference(states, inputs, durations)
     node = min(max(round(ahead / h), 1), STAGES - 1)
     durations[node - 1] = ahead - (node - 1) * h
     durations[node] = (node + 1) * h - ahead
-    after = impact.robot_plus
-    fill_reference(course, now, durations, node, after, 1.0 / problem.gains[0], heading, states, inputs)
+    fill_reference(course, now, durations, node, impact.robot_plus, mass, heading, sample, states, inputs)
     n, v = impact.normal, impact.object_minus
     return Reference(states, inputs, durations, node, n, jump_gain, n[0] * v[0] + n[1] * v[1])

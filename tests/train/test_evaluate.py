@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -241,3 +246,35 @@ def test_bad_requests_are_one_line(changes: dict[str, Any], message: str, monkey
     with pytest.raises(InputError, match=message) as caught:
         evaluate(**(request | changes), progress=False)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_the_workers_soon_and_keeps_what_was_played(tmp_path: Path) -> None:
+    code = (
+        "import sys; from train.evaluate import evaluate\n"
+        "if __name__ == '__main__':\n"
+        "    evaluate(['throw_and_catch'], ['zero'], 5000, workers=2, out=sys.argv[1], progress=False)\n"
+    )
+    script = tmp_path / "script.py"
+    script.write_text(code)
+    run = subprocess.Popen(
+        [sys.executable, str(script), str(tmp_path / "out")],
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        # A test runner in the background may have been started with Ctrl-C ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+    journal = tmp_path / "out" / "rows.jsonl"
+    try:
+        deadline = time.monotonic() + 120
+        while not journal.exists() and time.monotonic() < deadline:
+            time.sleep(0.2)
+        os.killpg(run.pid, signal.SIGINT)
+        # 5000 episodes would take many minutes.
+        _, said = run.communicate(timeout=60)
+    finally:
+        run.kill()
+    assert b"KeyboardInterrupt" in said
+    rows = [json.loads(line) for line in journal.read_text().splitlines()]
+    assert 0 < len(rows) < 5000
