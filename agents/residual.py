@@ -69,11 +69,10 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     the episode's seed is drawn below 1,000,000 from the environment's generator, which the last given seed
     started.
 
-    Episode end: ``terminated`` at the scenario's horizon, where the formula is decided and nothing follows
-    (the features hold the time left); ``truncated`` where ``max_cycles`` cuts earlier.
+    Episode end: never ``terminated``; ``truncated`` at the scenario's horizon, or where ``max_cycles`` cuts earlier.
 
-    ``info`` carries ``seed`` and ``control_steps`` (in this step); at the end also ``robustness`` and
-    ``success``.
+    ``info`` carries ``seed`` and ``control_steps`` (in this step); at the end also ``robustness``, ``success`` and
+    ``decided``: the horizon is reached, the formula has its final value, and a learner has nothing to bootstrap.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario.
@@ -143,11 +142,9 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self._steps = 0
             self.expert.correct(np.clip(np.asarray(action, dtype=float), -1.0, 1.0))
             self._run_to_request()
-        over = not self.parallel.agents
-        terminated = over and self.parallel.steps >= self.parallel.scenario.steps
         reward, self._reward = self._reward, 0.0
         info = self._infos | {"control_steps": self._steps}
-        return self.expert.features().copy(), reward, terminated, over and not terminated, info
+        return self.expert.features().copy(), reward, False, not self.parallel.agents, info
 
     def render(self) -> np.ndarray | None:
         """Draw the present control step; see ImpactEnv.render."""
@@ -163,13 +160,13 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             observations, rewards, _, _, infos = self.parallel.step(self.expert.control())
             self._reward += float(sum(rewards.values()))
             self._steps += 1
-            horizon_reached = self.parallel.steps >= self.parallel.scenario.steps
-            if not horizon_reached:
+            decided = self.parallel.steps >= self.parallel.scenario.steps
+            if not decided:
                 # Also where max_cycles cuts: a learner bootstraps there from the features.
                 self.expert.observe(observations)
             if not self.parallel.agents:
                 final = next(iter(infos.values()))
-                self._infos |= {key: final[key] for key in ("robustness", "success")}
+                self._infos |= {key: final[key] for key in ("robustness", "success")} | {"decided": decided}
                 return
             if self.expert.awaiting_correction:
                 return

@@ -57,6 +57,4 @@ def __getattr__(name: str) -> Any:
 
 for _name in list_scenarios():
     gymnasium.register(gym_id(_name), "impact_envs.joint:JointEnv", kwargs={"scenario": _name})
-    gymnasium.register(
-        gym_id(_name, residual=True), "agents.residual:ResidualEnv", kwargs={"scenario": _name}
-    )
+    gymnasium.register(gym_id(_name, residual=True), "agents.residual:ResidualEnv", kwargs={"scenario": _name})

@@ -107,9 +107,7 @@ class ImpactEnv(ParallelEnv):
         "is_parallelizable": True,
     }
 
-    def __init__(
-        self, model: Model, task: Task, render_mode: str | None = None, max_cycles: int | None = None
-    ) -> None:
+    def __init__(self, model: Model, task: Task, render_mode: str | None = None, max_cycles: int | None = None) -> None:
         self.model, self.task, self.render_mode = model, task, render_mode
         self.scenario: Any = task.scenario
         self.max_cycles = self.scenario.steps if max_cycles is None else max_cycles
@@ -201,9 +199,7 @@ class ImpactEnv(ParallelEnv):
         over = self.steps >= min(self.max_cycles, self.scenario.steps)
         team = (sum(self.bounds) - sum(before)) / 2 + (self.bounds[0] if over else 0.0)
         agents = self.agents
-        rewards = {
-            agent: team / len(agents) - EFFORT_WEIGHT * self.task.effort(actions[agent]) for agent in agents
-        }
+        rewards = {agent: team / len(agents) - EFFORT_WEIGHT * self.task.effort(actions[agent]) for agent in agents}
         observations, infos = self.task.observe(self.time, self.bounds), self._infos(over)
         if over:
             self.agents = []

@@ -84,9 +84,7 @@ class Plan:
         scenario = load_scenario(self.scenario)
         for path in (self.out, self.csv):
             _check_writable(path)
-        plan = make_plan(
-            scenario, objective=self.objective, max_impacts=self.max_impacts, time_limit=self.time_limit
-        )
+        plan = make_plan(scenario, objective=self.objective, max_impacts=self.max_impacts, time_limit=self.time_limit)
         if self.out:
             plan.save(self.out)
         if self.csv:
@@ -162,7 +160,7 @@ class Run:
                 if shown.steps % every == 0 or not shown.agents:
                     frames.append(shown.render())
 
-        stored = getattr(policy, "plan", None)
+        stored = getattr(getattr(policy, "expert", policy), "plan", None)
         if stored is not None:
             import numpy as np
 

@@ -16,8 +16,9 @@ import time
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, SupportsFloat
 
+import gymnasium
 import numpy as np
 import pandas as pd
 import torch
@@ -191,12 +192,26 @@ def make_envs(args: Args, scenario: Scenario, plan: Plan) -> VecNormalize:
     return VecNormalize(envs, norm_reward=False, gamma=1.0, epsilon=1e-6)
 
 
-def _make_env(scenario: Scenario, suite: str, plan: Plan, apart: bool) -> ResidualEnv:
+class DecidedEnds(gymnasium.Wrapper[np.ndarray, np.ndarray, np.ndarray, np.ndarray]):
+    """Tell the learner that nothing follows a decided formula.
+
+    SB3 adds the value of the last features to a truncated return. At the horizon the return is whole: with it,
+    gamma = 1 and an estimate that feeds on itself, the value would grow without bound. A cut before it stays one.
+    """
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Step; an end at the horizon is reported as terminated."""
+        features, reward, terminated, truncated, info = self.env.step(action)
+        decided = bool(info.get("decided", False))
+        return features, reward, terminated or decided, truncated and not decided, info
+
+
+def _make_env(scenario: Scenario, suite: str, plan: Plan, apart: bool) -> DecidedEnds:
     if apart:
         # Stopping is the parent's to handle; without it the pipe ends, and so does this process.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
-    return ResidualEnv(scenario, suite, plan)
+    return DecidedEnds(ResidualEnv(scenario, suite, plan))
 
 
 def make_model(args: Args, envs: VecNormalize) -> Model:

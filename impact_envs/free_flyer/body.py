@@ -119,8 +119,7 @@ def make_walls(lower: Point, upper: Point) -> list[Body]:
     )
     inner = ((x0, y0, 1.0, 0.0), (x1, y0, -1.0, 0.0), (x0, y0, 0.0, 1.0), (x0, y1, 0.0, -1.0))
     return [
-        Body("world", d, vertices, faces=((*face, math.inf),))
-        for vertices, face in zip(corners, inner, strict=True)
+        Body("world", d, vertices, faces=((*face, math.inf),)) for vertices, face in zip(corners, inner, strict=True)
     ]
 
 

@@ -132,9 +132,7 @@ class FreeFlyerModel:
         """
         if controls.keys() != self._robots.keys():
             wrong = ", ".join(sorted(controls.keys() ^ self._robots.keys()))
-            raise InputError(
-                f"controls must name every robot once, not so: {wrong}; {choices(wrong, self._robots)}"
-            )
+            raise InputError(f"controls must name every robot once, not so: {wrong}; {choices(wrong, self._robots)}")
         for name, control in controls.items():
             self._actuate(name, control)
         impacts = self._advance(self.scenario.control_period)
@@ -280,8 +278,7 @@ class FreeFlyerModel:
         speeds = {pair: compute_approach(*self._both(pair), contact) for pair, contact in genuine.items()}
         physics = self.physics
         restitution = {
-            pair: compute_restitution(speeds[pair], physics.restitution, physics.restitution_speed)
-            for pair in genuine
+            pair: compute_restitution(speeds[pair], physics.restitution, physics.restitution_speed) for pair in genuine
         }
         impulses = self._apply_impulses(genuine, restitution)
         return [self._report(pair, genuine[pair], impulses[pair], speeds[pair], time) for pair in genuine]
@@ -307,9 +304,7 @@ class FreeFlyerModel:
         self, contacts: Mapping[Pair, Contact], restitution: Mapping[Pair, float]
     ) -> dict[Pair, np.ndarray]:
         """Apply simultaneous impulses; return their sum on each pair's second body, shape (2,) [N s]."""
-        entries = [
-            (pair, contact.normal, point) for pair, contact in contacts.items() for point in contact.points
-        ]
+        entries = [(pair, contact.normal, point) for pair, contact in contacts.items() for point in contact.points]
         n = len(self._masses)
         normals, tangents = np.zeros((len(entries), n)), np.zeros((len(entries), n))
         for row, (pair, (nx, ny), (px, py)) in enumerate(entries):

@@ -88,9 +88,7 @@ def compute_effective_mass(normal: np.ndarray, sides: Sequence[Side]) -> float:
     Source: Nekoo, Sharf & Ollero, *Free-floating space manipulator impacting a floating object*.
     """
     rows = [normal @ side.jacobian for side in sides]
-    return 1.0 / float(
-        sum(row @ np.linalg.solve(s.mass_matrix, row) for row, s in zip(rows, sides, strict=True))
-    )
+    return 1.0 / float(sum(row @ np.linalg.solve(s.mass_matrix, row) for row, s in zip(rows, sides, strict=True)))
 
 
 def compute_impulse(normal: np.ndarray, a: Side, b: Side | None, restitution: float) -> float:
@@ -180,9 +178,7 @@ def solve_contacts(
     return both[:k], both[k:]
 
 
-def _gauss_seidel(
-    W: np.ndarray, speed: np.ndarray, goal: np.ndarray, friction: float | None = None
-) -> np.ndarray:
+def _gauss_seidel(W: np.ndarray, speed: np.ndarray, goal: np.ndarray, friction: float | None = None) -> np.ndarray:
     """Solve for impulses p with speed + W p = goal, or as near as their bounds let it be.
 
     Normal impulses come first and are >= 0; with friction, as many tangential ones follow, bounded by

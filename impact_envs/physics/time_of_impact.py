@@ -153,9 +153,7 @@ def find_fall(height: float, speed: float, acceleration: float) -> float:
     return (speed + root) / -acceleration if acceleration < 0 and speed + root >= 0 else math.inf
 
 
-def find_crossing(
-    gap: Callable[[float], float], rate: float, stride: float, slack: float, end: float
-) -> float:
+def find_crossing(gap: Callable[[float], float], rate: float, stride: float, slack: float, end: float) -> float:
     """Return when a gap first falls below zero, or below its start if it starts in overlap.
 
     Steps are conservative: the gap cannot close within gap / rate. Near contact they are ``stride / rate``,
@@ -185,9 +183,7 @@ def find_crossing(
     return math.inf
 
 
-def _find_sign_change(
-    f: Callable[[float], float], low: float, f_low: float, high: float, f_high: float
-) -> float:
+def _find_sign_change(f: Callable[[float], float], low: float, f_low: float, high: float, f_high: float) -> float:
     """Return the last time found with f >= 0 before f changes sign (regula falsi, Illinois weights)."""
     weight_low = weight_high = 1.0
     side = 0

@@ -12,10 +12,11 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from agents import ResidualEnv, ResidualPolicy
-from impact_envs import InputError, Scenario, load_scenario, parallel_env, rollout
+from impact_envs import InputError, Scenario, gym_id, list_scenarios, load_scenario, parallel_env, rollout
 from impact_envs.rollout import Diagnostics, Episode
 from planners import make_expert, make_plan
 from planners.plan import Plan
+from train.residual_free_flyer import DecidedEnds
 
 
 class Pusher:
@@ -150,37 +151,41 @@ def test_asking_at_every_step_is_an_ordinary_residual(short: Scenario) -> None:
     for _ in range(short.steps - 1):
         _, _, terminated, truncated, info = env.step(env.action_space.sample())
         assert (terminated, truncated, info["control_steps"]) == (False, False, 1)
-    assert env.step(env.action_space.sample())[2] is True
+    assert env.step(env.action_space.sample())[3] is True
 
 
 def test_an_expert_that_never_asks_hands_out_the_whole_return(short: Scenario) -> None:
     env = make_pusher_env(short, every=None)
     _, info = env.reset(seed=0)
     assert info["control_steps"] == short.steps
-    _, reward, terminated, _, info = env.step(np.zeros(2, np.float32))
+    _, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     asked, _, _ = play(make_pusher_env(short, every=1), 0, np.zeros(2, np.float32))
-    assert terminated
+    assert (terminated, truncated) == (False, True)
     assert reward == pytest.approx(asked, abs=1e-12)
     assert "robustness" in info
 
 
-def test_horizon_terminates_and_max_cycles_truncates(short: Scenario) -> None:
+def test_every_end_is_a_truncation_and_only_the_horizon_decides(short: Scenario) -> None:
     action = np.zeros(2, np.float32)
-    for max_cycles, ended in ((None, (True, False)), (short.steps, (True, False)), (10, (False, True))):
+    for max_cycles, decided in ((None, True), (short.steps, True), (10, False)):
         env = make_pusher_env(short, 10, max_cycles=max_cycles)
         env.reset(seed=0)
         for _ in range(short.steps):
-            features, _, terminated, truncated, _ = env.step(action)
-            if terminated or truncated:
+            features, _, terminated, truncated, info = env.step(action)
+            if truncated:
                 break
-        assert (terminated, truncated) == ended
-        if truncated:
+        assert (terminated, truncated, info["decided"]) == (False, True, decided)
+        learner = DecidedEnds(make_pusher_env(short, 10, max_cycles=max_cycles))
+        learner.reset(seed=0)
+        ends = [learner.step(action)[2:4] for _ in range(short.steps // 10 if decided else 1)]
+        assert ends[-1] == (decided, not decided)
+        if not decided:
             assert features[0] == 10.0  # what a learner bootstraps from is the state at the cut
 
 
 def test_truncation_reaches_the_learner(short: Scenario) -> None:
     for max_cycles, kept in ((None, False), (10, True)):
-        envs = VecNormalize(DummyVecEnv([lambda n=max_cycles: make_pusher_env(short, 10, max_cycles=n)]))
+        envs = VecNormalize(DummyVecEnv([lambda n=max_cycles: DecidedEnds(make_pusher_env(short, 10, max_cycles=n))]))
         envs.reset()
         for _ in range(4):
             _, _, dones, infos = envs.step(np.zeros((1, 2), np.float32))
@@ -220,3 +225,24 @@ def test_unknown_suite_and_scenario_are_named(short: Scenario) -> None:
         make_pusher_env(short, 10, suite="restitutoin")
     with pytest.raises(InputError, match="throw_and_cathc"):
         ResidualEnv("throw_and_cathc")
+
+
+LONG_TO_PLAN = {"obstacle_avoidance", "pingpong"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] if n in LONG_TO_PLAN else []) for n in list_scenarios()],
+)
+def test_every_scenario_has_a_residual_twin_that_starts_at_its_expert(name: str) -> None:
+    env = gymnasium.make(gym_id(name, residual=True)).unwrapped
+    assert isinstance(env, ResidualEnv)
+    env.reset(seed=1_000_000)
+    for decisions in range(1, 12):
+        features, _, _, truncated, info = env.step(np.zeros(2, np.float32))
+        assert np.all(np.isfinite(features))
+        if truncated:
+            break
+    assert truncated
+    assert decisions >= 2
+    assert info["success"]

@@ -142,9 +142,7 @@ def test_pickled_in_flight_it_goes_on_the_same(name):
     env.reset(seed=3)
     record(env, np.random.default_rng(0), 20)
     twin = pickle.loads(pickle.dumps(env))
-    assert np.array_equal(
-        record(env, np.random.default_rng(1), 20), record(twin, np.random.default_rng(1), 20)
-    )
+    assert np.array_equal(record(env, np.random.default_rng(1), 20), record(twin, np.random.default_rng(1), 20))
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

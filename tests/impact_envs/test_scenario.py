@@ -35,7 +35,10 @@ BAD = {
     "unknown region": (CORRIDOR.replace("pop in goal", "pop in gaol"), ["gaol", "goal", "corridor"]),
     "unknown body": (CORRIDOR.replace("pop in goal", "pup in goal"), ["pup", "pop"]),
     "start outside": (CORRIDOR.replace("start = [1.0, 1.0]", "start = [1.0, -1.0]"), ["robots.snap.start", "-1.0"]),
-    "negative mass": (CORRIDOR.replace("mass = 16.8", "mass = -1.0", 1), ["robots.snap.mass", "-1.0", "greater than 0"]),
+    "negative mass": (
+        CORRIDOR.replace("mass = 16.8", "mass = -1.0", 1),
+        ["robots.snap.mass", "-1.0", "greater than 0"],
+    ),
     "empty": ("", ["empty", "domain", "formula"]),
     "not TOML": ("domain = ", ["TOML"]),
     "unknown domain": (CORRIDOR.replace('"free_flyer"', '"free_flier"'), ["free_flier", "free_flyer"]),
@@ -48,7 +51,10 @@ BAD = {
     "unspeakable name": (CORRIDOR.replace("regions.goal", "regions.until"), ["until", "formula"]),
     "overlap": (CORRIDOR.replace("start = [1.0, 2.0]", "start = [1.0, 1.1]"), ["snap", "pop", "overlap"]),
     "box upside down": (CORRIDOR.replace("upper = [3.0, 10.0]", "upper = [-3.0, 10.0]", 1), ["world", "lower"]),
-    "restitution above 1": (CORRIDOR.replace("restitution = 0.8", "restitution = 1.8"), ["believed.restitution", "1.8"]),
+    "restitution above 1": (
+        CORRIDOR.replace("restitution = 0.8", "restitution = 1.8"),
+        ["believed.restitution", "1.8"],
+    ),
     "true typo": (CORRIDOR + "\n[true]\nrestitutoin = 0.5\n", ["restitutoin", "true", "restitution"]),
     "true above 1": (CORRIDOR + "\n[true]\nrestitution = { uniform = [0.5, 1.5] }\n", ["true", "1.5"]),
 }

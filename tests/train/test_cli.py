@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -72,7 +73,7 @@ def test_evaluate_and_report(capsys, tmp_path):
     assert table["rows"][0]["success_rate"] == 1.0
     assert {table["paired"][0]["a"], table["paired"][0]["b"]} == {"expert", "zero"}
     report = result(capsys, "report", str(out))["report"]
-    assert "</html>" in open(report).read()
+    assert "</html>" in Path(report).read_text()
 
 
 BAD = {

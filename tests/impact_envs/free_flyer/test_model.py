@@ -180,9 +180,7 @@ def test_offset_mass_turns_about_its_centre_of_mass():
     turn = np.array([[math.cos(1.6), -math.sin(1.6)], [math.sin(1.6), math.cos(1.6)]])
     np.testing.assert_allclose([x, y], fixed_point + 2.0 * velocity - turn @ offset, atol=1e-12)
     lever = turn @ offset
-    np.testing.assert_allclose(
-        np.array([vx, vy]) + omega * np.array([-lever[1], lever[0]]), velocity, atol=1e-12
-    )
+    np.testing.assert_allclose(np.array([vx, vy]) + omega * np.array([-lever[1], lever[0]]), velocity, atol=1e-12)
 
 
 def test_thrust_through_the_geometric_centre_turns_an_offset_mass():
@@ -391,9 +389,7 @@ def test_impulses_are_those_of_the_reference_law():
                 flight = impact.time - (model.time - 0.1)
                 arm = np.array(impact.point) - (x + vx * flight, y + vy * flight)
                 m, inertia = model.physics.masses[name], model.physics.inertias[name]
-                sides.append(
-                    Side(compute_planar_jacobian(arm), np.diag([m, m, inertia]), np.array([vx, vy, omega]))
-                )
+                sides.append(Side(compute_planar_jacobian(arm), np.diag([m, m, inertia]), np.array([vx, vy, omega])))
             normal = np.array(impact.normal)
             e = compute_restitution(impact.speed, 0.9, 2.0)
             if impact.a == "world":
@@ -408,9 +404,7 @@ def test_impulses_are_those_of_the_reference_law():
 def test_restitution_belongs_to_the_world_and_not_to_materials():
     # The law has one e per pair; a product of two materials' would give 0.64 here.
     for objects in ({"o": {"start": (1, 0)}}, {"o": {"start": (1, 0), "vertices": box(0.1, 0.1)}}):
-        model = make_model(
-            make_scenario({"r": {"start": (0, 0)}}, objects), {"r": (0.5, 0, 0)}, restitution=0.8
-        )
+        model = make_model(make_scenario({"r": {"start": (0, 0)}}, objects), {"r": (0.5, 0, 0)}, restitution=0.8)
         run(model, 2.0)
         states = model.state()
         assert states[1, 2] - states[0, 2] == pytest.approx(0.8 * 0.5, abs=1e-10)
@@ -633,9 +627,7 @@ def busy_scenario():
 def test_same_inputs_give_the_same_result_bit_for_bit():
     results = []
     for _ in range(2):
-        model = make_model(
-            busy_scenario(), restitution=0.6, friction=0.2, center_of_mass={"o": np.array([0.02, 0.01])}
-        )
+        model = make_model(busy_scenario(), restitution=0.6, friction=0.2, center_of_mass={"o": np.array([0.02, 0.01])})
         results.append((random_run(model, 60, seed=8), model.state().tobytes()))
     assert results[0] == results[1]
     assert len(results[0][0]) > 5

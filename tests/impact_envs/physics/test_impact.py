@@ -101,9 +101,7 @@ def test_wall_is_the_limit_of_a_heavy_body():
     rng = np.random.default_rng(4)
     a, normal = random_side(rng), unit(rng)
     heavy = Side(np.eye(2), 1e12 * np.eye(2), np.zeros(2))
-    assert compute_impulse(normal, a, None, 0.6) == pytest.approx(
-        compute_impulse(normal, a, heavy, 0.6), rel=1e-9
-    )
+    assert compute_impulse(normal, a, None, 0.6) == pytest.approx(compute_impulse(normal, a, heavy, 0.6), rel=1e-9)
 
 
 def test_one_frictionless_contact_is_the_closed_form():
