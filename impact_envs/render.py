@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pygame
 
 MODES = ("human", "rgb_array")
-SUFFIXES = (".mp4", ".gif")
+SUFFIXES = (".mp4", ".gif", ".png")
 
 
 class Renderer:
@@ -104,7 +104,7 @@ def save_video(frames: Iterable[np.ndarray], path: str | Path, fps: float) -> Pa
 
     Args:
         frames: pictures of one size, each shape (height, width, 3) uint8.
-        path: file to write; its suffix decides the format, .mp4 (H.264) or .gif (endless loop).
+        path: file to write; its suffix decides the format, .mp4 (H.264), .gif (endless loop) or .png (the last frame).
         fps: frames per second.
 
     Returns:
@@ -124,6 +124,11 @@ def save_video(frames: Iterable[np.ndarray], path: str | Path, fps: float) -> Pa
     first = next(pictures, None)
     if first is None:
         raise InputError(f"video '{path}': there are no frames to write")
+    if path.suffix.lower() == ".png":
+        for first in pictures:  # the last one stays
+            continue
+        imageio.imwrite(path, first)
+        return path
     if path.suffix.lower() == ".gif":
         options: dict[str, Any] = {"duration": 1000.0 / fps, "loop": 0}
     else:  # H.264 wants even sides, which a macro block of 2 ensures

@@ -129,7 +129,7 @@ class Run:
     plan: Path | None = None
     """Execute this plan instead of planning."""
     render: str | None = None
-    """human, or a file ending in .mp4 or .gif."""
+    """human, or a file ending in .mp4, .gif or .png (the last frame)."""
     json: bool = False
 
     def run(self) -> dict[str, Any]:
@@ -152,7 +152,8 @@ class Run:
         policy = make_policy(self.policy, scenario, plan=plan)
         env = parallel_env(scenario, render_mode=mode)
         frames: list[Any] = []
-        every = max(1, round(1.0 / scenario.control_period / 10))  # ten frames per simulated second at most
+        still = mode == "rgb_array" and str(self.render).endswith(".png")
+        every = scenario.steps if still else max(1, round(0.1 / scenario.control_period))  # ten frames per second
         film = None
         if mode == "rgb_array":
 
@@ -279,6 +280,8 @@ class Demo:
         from train.evaluate import evaluate
         from train.report import write_report
 
+        for name in ("rows.jsonl", "manifest.json"):  # a demo shows the code as it is, so nothing is resumed
+            (self.out / name).unlink(missing_ok=True)
         say = Console(stderr=True)
         plans = {}
         for name in DEMO_SCENARIOS:
@@ -379,8 +382,8 @@ def _render_mode(render: str | None) -> Literal["human", "rgb_array"] | None:
     if render == "human":
         return "human"
     path = Path(render)
-    if path.suffix not in (".mp4", ".gif"):
-        raise InputError(f"--render {render}: choices: human, a file ending in .mp4 or .gif")
+    if path.suffix not in (".mp4", ".gif", ".png"):
+        raise InputError(f"--render {render}: choices: human, a file ending in .mp4, .gif or .png")
     _check_writable(path)
     return "rgb_array"
 
@@ -402,7 +405,8 @@ def _episode_summary(episode: Any, suite: str) -> dict[str, Any]:
     import numpy as np
 
     ms = episode.solve_seconds * 1e3
-    quantiles = {"p50": np.median(ms), "p99": np.quantile(ms, 0.99), "max": ms.max()} if len(ms) else None
+    names = {"p50": 0.5, "p99": 0.99, "max": 1.0}
+    quantiles = {name: round(float(np.quantile(ms, q)), 4) for name, q in names.items()} if len(ms) else None
     return {
         "scenario": episode.scenario,
         "suite": suite,

@@ -203,10 +203,16 @@ def test_film_has_the_frames_given(tmp_path, suffix):
         assert _center(shown, ORANGE) == pytest.approx(_center(drawn, ORANGE), abs=1)
 
 
+def test_picture_is_the_last_frame(tmp_path):
+    renderer = Renderer((0, 0), (2, 1), [PUCK], size=(200, 170))
+    pictures = [renderer.draw(Frame(0.0, {"pop": (0.4 + 0.3 * k, 0.5, 0.0)})) for k in range(3)]
+    assert np.array_equal(iio.imread(save_video(iter(pictures), tmp_path / "last.png", fps=10)), pictures[-1])
+
+
 @pytest.mark.parametrize(
     ("name", "count", "says"),
     [
-        ("film.avi", 1, "suffix '.avi'.*choices: .mp4, .gif"),
+        ("film.avi", 1, "suffix '.avi'.*choices: .mp4, .gif, .png"),
         ("film.gif", 0, "no frames"),
         ("no/film.gif", 1, "not exist"),
     ],

@@ -76,6 +76,17 @@ def test_evaluate_and_report(capsys, tmp_path):
     assert "</html>" in Path(report).read_text()
 
 
+def test_demo_does_the_main_job(capsys, tmp_path):
+    for _ in range(2):  # the second one starts afresh
+        shown = result(capsys, "demo", "--episodes", "1", "--out", str(tmp_path / "demo"))
+    assert {name: plan["gap"] for name, plan in shown["plans"].items()} == {"throw_and_catch": 0, "corridor": 0}
+    assert len(shown["rows"]) == 2 * 2 * 3
+    assert Path(shown["report"]).is_file()
+    assert all(
+        row["success_rate"] == 1 for row in shown["rows"] if row["policy"] == "expert" and row["suite"] == "nominal"
+    )
+
+
 BAD = {
     "scenario": (("plan", "coridor"), ["coridor", "corridor"]),
     "file": (("plan", "no/such.toml"), ["no/such.toml"]),
@@ -88,7 +99,7 @@ BAD = {
     "policy": (("run", "corridor", "--policy", "experte"), ["experte", "expert"]),
     "suite": (("evaluate", "corridor", "--suite", "mas"), ["mas", "mass"]),
     "plan file": (("run", "corridor", "--plan", "nope.json"), ["nope.json"]),
-    "film": (("run", "corridor", "--render", "film.avi"), ["film.avi", ".mp4"]),
+    "film": (("run", "corridor", "--render", "film.avi"), ["film.avi", ".mp4", ".png"]),
     "plan folder": (("plan", "corridor", "--out", "no/such/plan.json"), ["no/such"]),
     "report": (("report", "nowhere"), ["nowhere"]),
     "command": (("frobnicate",), ["frobnicate", "plan"]),
