@@ -125,9 +125,8 @@ def save_video(frames: Iterable[np.ndarray], path: str | Path, fps: float) -> Pa
     if first is None:
         raise InputError(f"video '{path}': there are no frames to write")
     if path.suffix.lower() == ".png":
-        for first in pictures:  # the last one stays
-            continue
-        imageio.imwrite(path, first)
+        *_, last = itertools.chain([first], pictures)
+        imageio.imwrite(path, last)
         return path
     if path.suffix.lower() == ".gif":
         options: dict[str, Any] = {"duration": 1000.0 / fps, "loop": 0}
