@@ -323,8 +323,8 @@ def _one_line(error: ValidationError, schema: type[Table]) -> str:
     """Say the first thing wrong in the file's own words: key, value, limit and choices."""
     # A misspelt key is also a missing one; the misspelling is what the user wants to hear of.
     first = min(error.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
-    # Branch names of a union (for example 'Uniform') are ours, not keys of the file.
-    path = [str(part) for part in first["loc"] if not re.match(r"^[A-Z]|float$|function-", str(part))]
+    # Branches of a quantity's union are pydantic's names for our types, not keys of the file.
+    path = [str(part) for part in first["loc"] if not re.fullmatch(r"Uniform|float|.*[-\[].*", str(part))]
     key = ".".join(path)
     if first["type"] == "extra_forbidden":
         known = _keys(schema, path[:-1])

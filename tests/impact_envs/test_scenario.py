@@ -56,6 +56,13 @@ BAD = {
         ["believed.restitution", "1.8"],
     ),
     "true typo": (CORRIDOR + "\n[true]\nrestitutoin = 0.5\n", ["restitutoin", "true", "restitution"]),
+    "text for a quantity": (CORRIDOR + '\n[true]\nrestitution = "high"\n', ["true.restitution = 'high'"]),
+    "upper-case table": (
+        CORRIDOR.replace("regions.goal", "regions.B")
+        .replace("upper = [1.75", "upper = [-1.75")
+        .replace("in goal", "in B"),
+        ["regions.B", "lower"],
+    ),
     "true above 1": (CORRIDOR + "\n[true]\nrestitution = { uniform = [0.5, 1.5] }\n", ["true", "1.5"]),
 }
 
