@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,41 +98,61 @@ class Renderer:
         self._clock.tick(self._fps)
 
 
-def save_video(frames: Iterable[np.ndarray], path: str | Path, fps: float) -> Path:
-    """Write frames to a film.
+class Film:
+    """Write frames to a file as they come; its suffix decides the format.
 
     Args:
-        frames: pictures of one size, each shape (height, width, 3) uint8.
-        path: file to write; its suffix decides the format, .mp4 (H.264), .gif (endless loop) or .png (the last frame).
+        path: file to write: .mp4 (H.264), .gif (endless loop) or .png (the last frame).
         fps: frames per second.
 
-    Returns:
-        The path written.
-
     Raises:
-        InputError: unknown suffix, missing directory, or no frames.
+        InputError: unknown suffix, or missing directory.
     """
-    import imageio.v2 as imageio
 
-    path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"video '{path}' has suffix '{path.suffix}': {choices(path.suffix, SUFFIXES)}")
-    if not path.parent.is_dir():
-        raise InputError(f"video '{path}': directory '{path.parent}' does not exist")
-    pictures = iter(frames)
-    first = next(pictures, None)
-    if first is None:
-        raise InputError(f"video '{path}': there are no frames to write")
-    if path.suffix.lower() == ".png":
-        *_, last = itertools.chain([first], pictures)
-        imageio.imwrite(path, last)
-        return path
-    if path.suffix.lower() == ".gif":
-        options: dict[str, Any] = {"duration": 1000.0 / fps, "loop": 0}
-    else:  # H.264 wants even sides, which a macro block of 2 ensures
-        options = {"fps": fps, "codec": "libx264", "quality": 8, "macro_block_size": 2}
-    writer: Any = imageio.get_writer(path, **options)
-    with writer:
-        for picture in itertools.chain([first], pictures):
-            writer.append_data(picture)
-    return path
+    def __init__(self, path: str | Path, fps: float) -> None:
+        self.path, self._fps = Path(path), fps
+        self.suffix = self.path.suffix.lower()
+        self._writer: Any = None
+        self._last: np.ndarray | None = None
+        if self.suffix not in SUFFIXES:
+            raise InputError(f"video '{path}' has suffix '{self.path.suffix}': {choices(self.path.suffix, SUFFIXES)}")
+        if not self.path.parent.is_dir():
+            raise InputError(f"video '{path}': directory '{self.path.parent}' does not exist")
+
+    def add(self, picture: np.ndarray) -> None:
+        """Append a frame.
+
+        Args:
+            picture: shape (height, width, 3) uint8, of the same size every time.
+        """
+        self._last = picture
+        if self.suffix != ".png":
+            self._writer = self._writer or self._open()
+            self._writer.append_data(picture)
+
+    def close(self) -> Path:
+        """Finish the file.
+
+        Returns:
+            The path written.
+
+        Raises:
+            InputError: no frame was added.
+        """
+        if self._last is None:
+            raise InputError(f"video '{self.path}': there are no frames to write")
+        if self._writer is not None:
+            self._writer.close()
+        else:
+            import imageio.v2 as imageio
+
+            imageio.imwrite(self.path, self._last)
+        return self.path
+
+    def _open(self) -> Any:
+        import imageio.v2 as imageio
+
+        if self.suffix == ".gif":
+            return imageio.get_writer(self.path, duration=1000.0 / self._fps, loop=0)
+        # H.264 wants even sides, which a macro block of 2 ensures.
+        return imageio.get_writer(self.path, fps=self._fps, codec="libx264", quality=8, macro_block_size=2)

@@ -142,37 +142,20 @@ class Run:
             scenario = scenario.override(dict(_assignment(text) for text in self.set))
         if self.seed < 0:
             raise InputError(f"seed {self.seed} is negative; choices: 0, 1, 2, ...")
-        mode = _render_mode(self.render)
-        plan = None
-        if self.plan:
-            from planners.plan import Plan as StoredPlan
+        film = _open_film(self.render)
+        policy = make_policy(self.policy, scenario, plan=_load_plan(self.plan))
+        env = parallel_env(scenario, render_mode="rgb_array" if film else self.render)
+        env.curves |= _plan_curves(policy)
+        every = scenario.steps if film and film.suffix == ".png" else max(1, round(0.1 / scenario.control_period))
 
-            plan = StoredPlan.load(self.plan)
-        policy = make_policy(self.policy, scenario, plan=plan)
-        env = parallel_env(scenario, render_mode=mode)
-        frames: list[Any] = []
-        still = mode == "rgb_array" and str(self.render).endswith(".png")
-        every = scenario.steps if still else max(1, round(0.1 / scenario.control_period))  # ten frames per second
-        film = None
-        if mode == "rgb_array":
+        def record(shown: Any) -> None:
+            if film and (shown.steps % every == 0 or not shown.agents):
+                film.add(shown.render())
 
-            def film(shown: Any) -> None:
-                if shown.steps % every == 0 or not shown.agents:
-                    frames.append(shown.render())
-
-        stored = getattr(getattr(policy, "expert", policy), "plan", None)
-        if stored is not None:
-            import numpy as np
-
-            times = np.linspace(0.0, stored.horizon, 400)
-            for name, curve in (stored.robots | stored.objects).items():
-                env.curves[name] = np.array([curve.position(t) for t in times])
-        episode = rollout(env, policy, self.seed, on_step=film)
+        episode = rollout(env, policy, self.seed, on_step=record)
         env.close()
-        if frames:
-            from impact_envs.render import save_video
-
-            save_video(frames, Path(self.render or ""), fps=30)
+        if film:
+            film.close()
         return _episode_summary(episode, self.suite)
 
 
@@ -375,16 +358,33 @@ def _assignment(text: str) -> tuple[str, Any]:
         return key.strip(), value.strip()
 
 
-def _render_mode(render: str | None) -> Literal["human", "rgb_array"] | None:
-    if render is None:
+def _open_film(render: str | None) -> Any:
+    """Return the film that --render asks for, None for a window or nothing."""
+    from impact_envs.render import SUFFIXES, Film
+
+    if render is None or render == "human":
         return None
-    if render == "human":
-        return "human"
-    path = Path(render)
-    if path.suffix not in (".mp4", ".gif", ".png"):
-        raise InputError(f"--render {render}: choices: human, a file ending in .mp4, .gif or .png")
-    _check_writable(path)
-    return "rgb_array"
+    if Path(render).suffix.lower() not in SUFFIXES:
+        raise InputError(f"--render {render}: choices: human, a file ending in {', '.join(SUFFIXES)}")
+    return Film(render, fps=30)
+
+
+def _load_plan(path: Path | None) -> Any:
+    from planners.plan import Plan as StoredPlan
+
+    return StoredPlan.load(path) if path else None
+
+
+def _plan_curves(policy: Any) -> dict[str, Any]:
+    """Return the curves of the plan a policy follows, as polylines."""
+    import numpy as np
+
+    plan = getattr(getattr(policy, "expert", policy), "plan", None)
+    if plan is None:
+        return {}
+    times = np.linspace(0.0, plan.horizon, 400)
+    curves = plan.robots | plan.objects
+    return {name: np.array([curve.position(t) for t in times]) for name, curve in curves.items()}
 
 
 def _write_samples(plan: Any, period: float, folder: Path) -> None:

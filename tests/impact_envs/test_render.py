@@ -8,7 +8,7 @@ import pytest
 import impact_envs
 from impact_envs import drawing
 from impact_envs.errors import InputError
-from impact_envs.render import Frame, Renderer, save_video
+from impact_envs.render import Film, Frame, Renderer
 from impact_envs.shape import Shape
 
 LOWER, UPPER = (-1.0, 0.0), (3.0, 10.0)  # the corridor's 4 x 10 m
@@ -193,11 +193,18 @@ def test_window_without_display_is_one_line(monkeypatch):
         Renderer(LOWER, UPPER, [], "human").draw(Frame(0.0, {}))
 
 
+def write_film(path, pictures):
+    film = Film(path, fps=10)
+    for picture in pictures:
+        film.add(picture)
+    return film.close()
+
+
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
 def test_film_has_the_frames_given(tmp_path, suffix):
     renderer = Renderer((0, 0), (2, 1), [PUCK], size=(200, 170))
     pictures = [renderer.draw(Frame(0.0, {"pop": (0.4 + 0.3 * k, 0.5, 0.0)})) for k in range(5)]
-    film = iio.imread(save_video(iter(pictures), tmp_path / f"film{suffix}", fps=10))
+    film = iio.imread(write_film(tmp_path / f"film{suffix}", pictures))
     assert film.shape == (5, 170, 200, 3)
     for shown, drawn in zip(film, pictures, strict=True):
         assert _center(shown, ORANGE) == pytest.approx(_center(drawn, ORANGE), abs=1)
@@ -206,7 +213,7 @@ def test_film_has_the_frames_given(tmp_path, suffix):
 def test_picture_is_the_last_frame(tmp_path):
     renderer = Renderer((0, 0), (2, 1), [PUCK], size=(200, 170))
     pictures = [renderer.draw(Frame(0.0, {"pop": (0.4 + 0.3 * k, 0.5, 0.0)})) for k in range(3)]
-    assert np.array_equal(iio.imread(save_video(iter(pictures), tmp_path / "last.png", fps=10)), pictures[-1])
+    assert np.array_equal(iio.imread(write_film(tmp_path / "last.png", pictures)), pictures[-1])
 
 
 @pytest.mark.parametrize(
@@ -219,7 +226,7 @@ def test_picture_is_the_last_frame(tmp_path):
 )
 def test_film_that_cannot_be_written_is_one_line(tmp_path, name, count, says):
     with pytest.raises(InputError, match=says):
-        save_video([np.zeros((8, 8, 3), np.uint8)] * count, tmp_path / name, fps=10)
+        write_film(tmp_path / name, [np.zeros((8, 8, 3), np.uint8)] * count)
 
 
 def test_environment_gathers_trails_and_impacts():
