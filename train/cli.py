@@ -273,7 +273,9 @@ class Demo:
                 f"plan of {name}: robustness {p['robustness']:.3f} m, gap {p['gap']:.3g}, "
                 f"{len(p['impacts'])} impacts, {p['solve_seconds']:.2f} s"
             )
-        # The learned policy was trained on throw_and_catch under restitution; the rest shows how it carries over.
+        say.print(
+            f"{DEMO_POLICY} was trained on throw_and_catch under restitution; elsewhere it shows how it carries over"
+        )
         result = evaluate(
             scenarios=DEMO_SCENARIOS,
             policies=("expert", DEMO_POLICY, "zero"),
