@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 from collections.abc import Iterable
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
@@ -154,7 +155,7 @@ class Journal:
         Args:
             request: the evaluation's arguments.
         """
-        self.manifest |= {"format": 1, **request, "versions": read_versions()}
+        self.manifest |= {"format": 1, **request, "versions": read_versions(), "cores": os.cpu_count() or 1}
         write_json(self.directory / "manifest.json", self.manifest)
 
     def append(self, row: dict[str, Any], replay: dict[str, Any] | None) -> None:

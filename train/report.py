@@ -211,7 +211,7 @@ def _write_heading(evaluation: Evaluation, looks: dict[str, Look]) -> dict[str, 
         "Seeds, the same for every policy": f"{manifest.seed} – {last}",
         "Suites": ", ".join(suites),
         "Policies": ", ".join(look.name for look in looks.values()),
-        "Written": f"{evaluation.written:%Y-%m-%d %H:%M}",
+        "Written": f"{evaluation.written:%Y-%m-%d %H:%M}, {evaluation.manifest.cores} cores",
     }
     return {
         "title": escape(f"{_join([look.name for look in looks.values()])} on {where}"),

@@ -35,6 +35,7 @@ class Manifest(BaseModel):
     episodes: int
     seed: int
     versions: dict[str, str]
+    cores: int
 
 
 class SolveTimes(BaseModel):

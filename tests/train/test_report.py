@@ -117,7 +117,8 @@ def evaluation(tmp_path_factory):
             "formula": "F[0,30] puck in goal & G[0,30] speed(puck) <= 0.5", "horizon": HORIZON}  # fmt: skip
     cases = [case | {"suite": suite} for suite in ("nominal", "restitution")]
     manifest = {"format": 1, "cases": cases, "policies": POLICIES, "episodes": EPISODES, "seed": SEED}
-    (directory / "manifest.json").write_text(json.dumps(manifest | {"versions": {"numpy": "2.4"}, "digests": {}}))
+    manifest |= {"versions": {"numpy": "2.4"}, "digests": {}, "cores": 2}
+    (directory / "manifest.json").write_text(json.dumps(manifest))
     (directory / "replays").mkdir()
     for suite in ("nominal", "restitution"):
         for k, policy in enumerate(POLICIES):
