@@ -83,6 +83,8 @@ class Plan:
         scenario = load_scenario(self.scenario)
         for path in (self.out, self.csv):
             _check_writable(path)
+        if self.csv and self.csv.is_file():
+            raise InputError(f"--csv {self.csv}: is a file; it takes a folder")
         plan = make_plan(scenario, objective=self.objective, max_impacts=self.max_impacts, time_limit=self.time_limit)
         if self.out:
             plan.save(self.out)
@@ -262,8 +264,10 @@ class Demo:
         from train.evaluate import evaluate
         from train.report import write_report
 
-        for name in ("rows.jsonl", "manifest.json"):  # a demo shows the code as it is, so nothing is resumed
-            (self.out / name).unlink(missing_ok=True)
+        if self.episodes < 1:
+            raise InputError(f"episodes {self.episodes} is too small; choices: 1, 2, ...")
+        policies = ("expert", DEMO_POLICY, "zero")
+        _clear_last_demo(self.out, policies)
         say = Console(stderr=True)
         plans = {}
         for name in DEMO_SCENARIOS:
@@ -278,7 +282,7 @@ class Demo:
         )
         result = evaluate(
             scenarios=DEMO_SCENARIOS,
-            policies=("expert", DEMO_POLICY, "zero"),
+            policies=policies,
             episodes=self.episodes,
             seed=EVALUATION_SEED,
             suites=("nominal", "restitution"),
@@ -311,6 +315,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         result.setdefault("wall_seconds", time.perf_counter() - start)
     except InputError as error:
         print(f"impact: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        if error.filename is None:  # not about a file the user named
+            raise
+        print(f"impact: {error.filename}: {error.strerror}", file=sys.stderr)
         return 2
     except PlanningError as error:
         print(f"impact: {error}", file=sys.stderr)
@@ -348,6 +357,22 @@ def _one_line(box: str) -> str:
 def _check_writable(path: Path | None) -> None:
     if path is not None and not path.absolute().parent.is_dir():
         raise InputError(f"cannot write {path}: folder {path.absolute().parent} does not exist")
+
+
+def _clear_last_demo(folder: Path, policies: Sequence[str]) -> None:
+    """Forget the last demo's episodes: a demo shows the code as it is, so nothing is resumed."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"--out {folder}: is a file; it takes a folder")
+    manifest = folder / "manifest.json"
+    if manifest.exists():
+        try:
+            held = jsonlib.loads(manifest.read_text(encoding="utf-8")).get("policies")
+        except (ValueError, AttributeError):
+            held = None
+        if held != list(policies):
+            raise InputError(f"--out {folder}: holds another evaluation; choose another folder")
+    for name in ("rows.jsonl", "manifest.json"):
+        (folder / name).unlink(missing_ok=True)
 
 
 def _assignment(text: str) -> tuple[str, Any]:

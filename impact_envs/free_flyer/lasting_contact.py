@@ -10,7 +10,7 @@ from impact_envs.free_flyer.body import Body
 
 # Shapes are this much larger than they are, so that pymunk sees touching bodies as touching [m].
 SKIN = 1e-4
-# One sweep is badly asymmetric when two robots squeeze an object, 50 leave no difference (measured).
+# Few sweeps leave a symmetric squeeze of an object asymmetric; a test holds 50 to keep it still.
 ITERATIONS = 50
 
 

@@ -134,8 +134,9 @@ def maximise_robustness(
 ) -> RobustnessOptimum:
     """Return the greatest robustness and the fewest impacts that attain it (stage A).
 
-    Every number of impacts is solved to proven optimality or infeasibility, until one attains the geometric
-    bound, which holds for every number. Legs in several pieces are for numbers infeasible without.
+    Every number of impacts is solved to proven optimality or infeasibility (as far as the time limit lets it),
+    until one attains the geometric bound, which holds for every number. Legs in several pieces are for numbers
+    infeasible without.
 
     Args:
         scenario: what to plan.
@@ -231,7 +232,7 @@ def _finish(
         horizon=scenario.horizon,
         robustness=optimum.rho,
         bound=optimum.bound,
-        gap=0.0,
+        gap=optimum.bound - optimum.rho,
         effort=events.effort,
         effort_bound=events.bound,
         impacts=impacts,

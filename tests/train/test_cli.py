@@ -119,6 +119,32 @@ def test_bad_input_is_one_line_and_exit_code_2(case, capsys):
         assert word in err
 
 
+def test_a_file_where_a_folder_belongs_is_one_line(capsys, tmp_path):
+    file = tmp_path / "file"
+    file.write_text("kept")
+    for arguments in (
+        ("plan", "throw_and_catch", "--csv", str(file)),
+        ("demo", "--episodes", "1", "--out", str(file)),
+        ("train", "throw_and_catch", "--steps", "4", "--out", str(file)),
+        ("evaluate", "throw_and_catch", "--policies", "zero", "--episodes", "1", "--out", str(file)),
+    ):
+        code, out, err = run(capsys, *arguments)
+        assert (code, out) == (2, ""), arguments
+        assert str(file) in err.strip().splitlines()[-1]
+        assert "Traceback" not in err
+    assert file.read_text() == "kept"
+
+
+def test_demo_leaves_other_evaluations_alone(capsys, tmp_path):
+    out = tmp_path / "mine"
+    result(capsys, "evaluate", "throw_and_catch", "--policies", "zero", "--episodes", "1", "--out", str(out))
+    before = (out / "rows.jsonl").read_bytes()
+    code, _, err = run(capsys, "demo", "--episodes", "1", "--out", str(out))
+    assert code == 2
+    assert "another evaluation" in err
+    assert (out / "rows.jsonl").read_bytes() == before
+
+
 def test_no_plan_is_exit_code_1(capsys):
     scenario = "throw_and_catch"
     from impact_envs import load_scenario
