@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import highspy
@@ -85,15 +86,37 @@ class Model:
 
     Args:
         name: what failures call the problem.
+        elastic: rows of a named part may be violated by the part's slack variable.
     """
 
     name: str
+    elastic: bool = False
     lower: list[float] = field(default_factory=list)
     upper: list[float] = field(default_factory=list)
     integer: list[bool] = field(default_factory=list)
     inequalities: list[Affine] = field(default_factory=list)
     equalities: list[Affine] = field(default_factory=list)
     objective: Affine = field(default_factory=lambda: Affine({}))
+    slacks: dict[str, Affine] = field(default_factory=dict)
+    _slack: Affine | None = None
+
+    @contextmanager
+    def part(self, name: str, largest: float) -> Iterator[None]:
+        """Name the rows added inside; in an elastic model one slack variable, shared by them, loosens them all.
+
+        Args:
+            name: of the part, as the user knows it; the same name again continues the part.
+            largest: slack [unit of the rows].
+        """
+        outer = self._slack
+        if self.elastic:
+            if name not in self.slacks:
+                self.slacks[name] = self.variable(0.0, largest)
+            self._slack = self.slacks[name]
+        try:
+            yield
+        finally:
+            self._slack = outer
 
     def variable(self, lower: float, upper: float, integer: bool = False) -> Affine:
         """Add a variable between finite bounds and return it as an expression."""
@@ -132,6 +155,12 @@ class Model:
         Raises:
             Infeasible: the row cannot hold and nothing relaxes it.
         """
+        self._require(self._loosened(expression), unless)
+
+    def _loosened(self, expression: Affine | float) -> Affine | float:
+        return expression if self._slack is None else expression - self._slack
+
+    def _require(self, expression: Affine | float, unless: Affine | float) -> None:
         low, high = self.limits(expression)
         if high <= 1e-12:
             return
@@ -153,7 +182,7 @@ class Model:
             Infeasible: the bounds exclude every alternative.
         """
         possible = []
-        for rows in alternatives:
+        for rows in [[self._loosened(row) for row in rows] for rows in alternatives]:
             limits = [self.limits(row) for row in rows]
             if all(high <= 1e-9 for _, high in limits):
                 return
@@ -163,13 +192,13 @@ class Model:
             raise Infeasible(self.name, "a requirement contradicts the limits", "widen limits or areas")
         if len(possible) == 1:
             for row in possible[0]:
-                self.require(row)
+                self._require(row, 0.0)
             return
         chosen = [self.binary() for _ in possible]
         self.require(1.0 - sum(chosen, Affine({})))
         for choice, rows in zip(chosen, possible, strict=True):
             for row in rows:
-                self.require(row, unless=1.0 - choice)
+                self._require(row, 1.0 - choice)
 
     def require_equal(self, expression: Affine) -> None:
         """Add the row expression = 0."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -65,6 +65,47 @@ class PlannedImpact:
     __hash__ = None  # type: ignore[assignment]
 
 
+@dataclass(frozen=True, eq=False)
+class Tube:
+    """Hold boxes in state space that an object cannot leave, whatever the disturbance at its impacts.
+
+    Segment k lasts from times[k] to times[k+1]; the box moves linearly from its start to its end.
+
+    Args:
+        times: breakpoints, shape (S+1,), increasing [s].
+        start: of every segment: centre (x, y, vx, vy) and half widths, shape (S, 2, 4) [m, m/s].
+        end: the same at the end of every segment, shape (S, 2, 4) [m, m/s].
+
+    Raises:
+        InputError: shapes do not fit, or a half width is negative.
+
+    Source: Verhagen & Tumova, Eqs. (3), (18), (19).
+    """
+
+    times: Array
+    start: Array
+    end: Array
+
+    __pydantic_config__ = _STRICT
+
+    def __post_init__(self) -> None:
+        for name in ("times", "start", "end"):
+            object.__setattr__(self, name, read_array(getattr(self, name)))
+        expected = (max(len(self.times) - 1, 1) if self.times.ndim == 1 else 1, 2, 4)
+        if self.start.shape != expected or self.end.shape != expected:
+            shapes = f"times {self.times.shape}, start {self.start.shape}, end {self.end.shape}"
+            raise InputError(f"tube: {shapes} do not fit, expected (S+1,), (S, 2, 4) and (S, 2, 4)")
+        if min(self.start[:, 1].min(), self.end[:, 1].min()) < 0 or (np.diff(self.times) <= 0).any():
+            raise InputError("tube: half widths must not be negative and times must increase")
+
+    def __eq__(self, other: Any) -> bool:
+        return isinstance(other, Tube) and all(
+            np.array_equal(getattr(self, name), getattr(other, name)) for name in ("times", "start", "end")
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+
 @dataclass(frozen=True)
 class Plan:
     """Hold a motion plan for all robots and objects of a scenario.
@@ -85,6 +126,11 @@ class Plan:
         solve_seconds: wall time of the whole planning [s].
         stage_seconds: wall time of each stage [s].
         validated: True if the independent simulation agreed with every promise.
+        deviation: permissible deviation delta of an object's velocity after an impact, per axis, that the plan
+            bears; None: the plan was not made for any [m/s].
+        deviation_bound: proven upper bound of the deviation any such plan bears [m/s].
+        tubes: object to the boxes it stays in under such deviations.
+        responses: robot to its curves for the vertices of the boxes: (x-, y-), (x-, y+), (x+, y-), (x+, y+).
 
     Raises:
         InputError: the curves do not span [0, T], or an impact names an unknown body or time.
@@ -104,6 +150,10 @@ class Plan:
     solve_seconds: FiniteFloat
     stage_seconds: dict[str, FiniteFloat]
     validated: bool
+    deviation: FiniteFloat | None = None
+    deviation_bound: FiniteFloat | None = None
+    tubes: dict[str, Tube] = field(default_factory=dict)
+    responses: dict[str, tuple[Curve, ...]] = field(default_factory=dict)
 
     __pydantic_config__ = _STRICT
 
