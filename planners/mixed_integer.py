@@ -162,7 +162,7 @@ class Model:
 
     def _require(self, expression: Affine | float, unless: Affine | float) -> None:
         low, high = self.limits(expression)
-        if high <= 1e-12:
+        if high <= 1e-12 or self.limits(unless)[0] >= 1.0:
             return
         row = expression - unless * high
         if isinstance(row, Affine) and row.coefficients:

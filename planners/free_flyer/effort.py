@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,15 +11,17 @@ import numpy as np
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.cones import solve_cones
 from planners.errors import Infeasible
+from planners.free_flyer.clearance_rows import solve_apart
 from planners.free_flyer.event_grid import EventGrid, build_event_grid
-from planners.free_flyer.events import EventSequence
+from planners.free_flyer.events import EventSequence, Word, own_events
 from planners.free_flyer.formula_rows import add_requirements
 from planners.free_flyer.requirement import Requirement
 from planners.free_flyer.reserves import Reserves
-from planners.mixed_integer import Affine, evaluate, solve_mixed_integer
+from planners.mixed_integer import Affine, Model, evaluate, solve_mixed_integer
 
 TANGENTS = 12  # perspective cuts per sign
 RELATIVE_GAP = 0.01
+ROUNDS = 4  # of outer approximation, at most
 
 
 @dataclass(frozen=True)
@@ -42,8 +45,9 @@ def minimise_effort(
     shape: tuple[int, int],
     rho: float,
     reserves: Reserves,
-    forbidden: Sequence[tuple[str, ...]],
+    forbidden: Sequence[Word],
     time_limit: float,
+    word: Word | None = None,
 ) -> EffortOptimum:
     r"""Return the events of least effort that keep a robustness.
 
@@ -57,8 +61,9 @@ def minimise_effort(
         shape: number of impacts, and of pieces per leg.
         rho: robustness to keep [m].
         reserves: what the plan keeps in hand.
-        forbidden: sequences of hitting robots that are excluded.
+        forbidden: words that are excluded.
         time_limit: of each mixed-integer solution [s].
+        word: who hits what; open without.
 
     Returns:
         The events, their effort and its bound under these wishes.
@@ -71,26 +76,85 @@ def minimise_effort(
     failure: Infeasible | None = None
     for passing, wanted in ((False, far), (False, needs), (True, far), (True, needs)):
         try:
-            grid = build_event_grid(scenario, shape[0], (rho - 1e-9, rho), reserves, shape[1])
+            grid = build_event_grid(scenario, shape[0], (rho - 1e-9, rho), reserves, shape[1], word)
             add_requirements(grid, wanted, scenario.control_period, passing)
-            return _solve(scenario, grid, forbidden, time_limit)
+            return _EffortProblem(scenario, grid, reserves, forbidden, time_limit).solve()
         except Infeasible as error:
             failure = error
     assert failure is not None
     raise failure
 
 
-def _solve(
-    scenario: FreeFlyerScenario, grid: EventGrid, forbidden: Sequence[tuple[str, ...]], time_limit: float
-) -> EffortOptimum:
-    shares = _add_effort(grid)
-    for word in forbidden:
-        same = [grid.hits[k][name] for k, name in enumerate(word)]
-        grid.model.require(sum(same, Affine({})) - (len(same) - 1.0))
-    relaxed = solve_mixed_integer(grid.model, time_limit, RELATIVE_GAP)
-    x = solve_cones(grid.model, relaxed.x, shares)
-    sequence = _read_sequence(scenario, grid, x)
-    return EffortOptimum(sequence, _compute_effort(sequence), max(0.0, relaxed.bound))
+class _EffortProblem:
+    """A grid with its effort as tangent planes, of which solutions add more."""
+
+    def __init__(
+        self,
+        scenario: FreeFlyerScenario,
+        grid: EventGrid,
+        reserves: Reserves,
+        forbidden: Sequence[Word],
+        time_limit: float,
+    ) -> None:
+        self.scenario, self.grid, self.reserves, self.time_limit = scenario, grid, reserves, time_limit
+        self.shares = _add_effort(grid)
+        self.bound = 0.0
+        for excluded in forbidden:
+            same = [grid.hits[k][pair] for k, pair in enumerate(excluded)]
+            grid.model.require(sum(same, Affine({})) - (len(same) - 1.0))
+
+    def solve(self) -> EffortOptimum:
+        """Return the best of some rounds of outer approximation, each of which tightens the bound."""
+        best, effort = None, np.inf
+        for _ in range(ROUNDS):
+            x = solve_apart(self.grid, self.scenario, self.reserves, self._solve_round)
+            found = _compute_effort(self.shares, x)
+            if found < effort - 1e-9:
+                best, effort = x, found
+            if effort - self.bound <= RELATIVE_GAP * effort:
+                break
+            self._add_tangents(x)
+        assert best is not None
+        bound = self.bound
+        if len(self.grid.objects) > 1:
+            best = self._straighten(best)
+        sequence = _read_sequence(self.scenario, self.grid, best)
+        return EffortOptimum(sequence, _measure_effort(sequence), bound)
+
+    def _solve_round(self) -> np.ndarray:
+        relaxed = solve_mixed_integer(self.grid.model, self.time_limit, RELATIVE_GAP / 2)
+        self.bound = max(self.bound, relaxed.bound)
+        self._relaxed = relaxed.x
+        return solve_cones(self.grid.model, relaxed.x, self.shares)
+
+    def _straighten(self, x: np.ndarray) -> np.ndarray:
+        """Solve again with the times and the word of a point, and objects straight and uniform between own events."""
+        grid, model, period = self.grid, self.grid.model, self.scenario.control_period
+        times = np.round(evaluate(grid.times[:: grid.pieces], x) / period) * period
+        for time, value in zip(grid.times[:: grid.pieces][1:-1], times[1:-1], strict=True):
+            _fix(model, time, value)
+        for hits in grid.hits:
+            for hit in hits.values():
+                _fix(model, hit, float(evaluate(hit, x)))
+        word = _read_word(grid, x)
+        for name in grid.objects:
+            own = own_events(word, name)
+            for a, b in itertools.pairwise(own):
+                for k in range(a + 1, b):
+                    share = (times[k] - times[a]) / (times[b] - times[a])
+                    path = grid.path(name)
+                    for miss in path[k] - path[a] - (path[b] - path[a]) * share:
+                        if isinstance(miss, Affine):
+                            model.require_equal(miss)
+        return solve_apart(grid, self.scenario, self.reserves, self._solve_round)
+
+    def _add_tangents(self, x: np.ndarray) -> None:
+        """Add the tangent planes at a point and at the relaxed one, and their mirror images."""
+        for effort, move, duration in self.shares:
+            speeds = {round(abs(move.value(point)) / duration.value(point), 6) for point in (x, self._relaxed)}
+            for speed in speeds - {0.0}:
+                for slope in (speed, -speed):
+                    self.grid.model.require(move * (2 * slope) - duration * slope**2 - effort)
 
 
 def _add_effort(grid: EventGrid) -> list[tuple[Affine, Affine, Affine]]:
@@ -98,10 +162,10 @@ def _add_effort(grid: EventGrid) -> list[tuple[Affine, Affine, Affine]]:
     shares = []
     total = Affine({})
     for name, knots in grid.knots.items():
-        # The object's pieces share one velocity, so its legs count whole.
-        stride = grid.pieces if name == grid.object else 1
+        # An object's pieces share one velocity, so its legs count whole.
+        stride = grid.pieces if name in grid.objects else 1
         for start in range(0, grid.count, stride):
-            fastest = grid.caps[start] if name == grid.object else grid.speeds[name]
+            fastest = grid.fastest(name, start)
             duration = grid.times[start + stride] - grid.times[start] + Affine({})
             for step in knots[start + stride] - knots[start] if fastest > 0.0 else ():
                 move = step + Affine({})
@@ -127,13 +191,27 @@ def _read_sequence(scenario: FreeFlyerScenario, grid: EventGrid, x: np.ndarray) 
     knots = {name: np.round(evaluate(points, x), 6) for name, points in grid.knots.items()}
     for name in scenario.bodies:
         knots[name][0] = scenario.body(name).start
-    path = knots[grid.object][:: grid.pieces]
-    hitters = tuple(max(hits, key=lambda robot: hits[robot].value(x)) for hits in grid.hits)
-    return EventSequence(times, grid.object, path, {name: knots[name] for name in scenario.robots}, hitters)
+    paths = {name: knots[name][:: grid.pieces] for name in grid.objects}
+    return EventSequence(times, paths, {name: knots[name] for name in scenario.robots}, _read_word(grid, x))
 
 
-def _compute_effort(sequence: EventSequence) -> float:
-    bodies = [sequence.path, *sequence.knots.values()]
+def _read_word(grid: EventGrid, x: np.ndarray) -> Word:
+    return tuple(max(hits, key=lambda pair: float(evaluate(hits[pair], x))) for hits in grid.hits)
+
+
+def _fix(model: Model, variable: Affine | float, value: float) -> None:
+    """Set both bounds of a variable."""
+    if isinstance(variable, Affine):
+        (index,) = variable.coefficients
+        model.lower[index] = model.upper[index] = value
+
+
+def _compute_effort(shares: Sequence[tuple[Affine, Affine, Affine]], x: np.ndarray) -> float:
+    return sum(move.value(x) ** 2 / duration.value(x) for _, move, duration in shares)
+
+
+def _measure_effort(sequence: EventSequence) -> float:
+    bodies = [*sequence.paths.values(), *sequence.knots.values()]
     durations = [np.diff(sequence.knot_times(len(knots)))[:, None] for knots in bodies]
     moves = [np.diff(knots, axis=0) for knots in bodies]
     return float(sum(np.sum(move**2 / spans) for move, spans in zip(moves, durations, strict=True)))

@@ -2,20 +2,22 @@
 
 Every motion is a polyline whose knots are the impacts' times, common to all bodies. Robots are fully actuated,
 so their velocity before an impact is free and follows from Eq. (5) once the object's polyline is known: the
-impact law imposes nothing but a speed cap on the object's legs.
+impact law imposes nothing but a speed cap on the object's legs. With several objects, that an object keeps its
+velocity while another one is hit is bilinear and left out: the effort, which grows with every change of velocity,
+asks for it, and stage B makes it exact.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
-from planners.free_flyer.events import compute_speed_caps
+from planners.free_flyer.events import Hitter, Word, compute_speed_caps
 from planners.free_flyer.reserves import Reserves
 from planners.mixed_integer import Affine, Model
 
@@ -25,7 +27,6 @@ DIRECTIONS = np.concatenate([AXES, np.sqrt(0.5) * np.array([[1, 1], [1, -1], [-1
 # Half-angles of the cone round its direction that an impulse may fill: a throw from rest or a catch always
 # has a direction within 22.5 degrees; a turn needs room for the legs before and after.
 CONE_AT_REST, CONE_TURNING = np.tan(np.deg2rad([30.0, 60.0]))
-COARSE = 1e-3  # diagonal contacts count as clear of both their axes in spite of rounding [m]
 LEAST_PUSH = 0.1  # of the object's displacements after and before an impact along its direction [m]
 Point = np.ndarray  # shape (2,), of numbers or expressions [m]
 
@@ -40,12 +41,13 @@ class EventGrid:
         pieces: number of equally long pieces per leg; robots may turn between them.
         times: t_0 = 0, impact times, t_{K+1} = T, and the ends of pieces between them [s].
         knots: positions of every body at these times [m].
-        hits: per impact, robot name to the binary that it hits.
+        hits: per impact, robot and object to the binary that the one hits the other, or 0 or 1 where it is given.
         sides: per impact, one binary per direction of `DIRECTIONS`.
-        object: name of the object.
-        caps: greatest speed per axis of the object on every piece [m/s].
+        objects: names of the objects.
+        caps: greatest speed per axis of every object on every piece [m/s].
         speeds: greatest speed per axis of every robot [m/s].
         turns: time every robot loses to starting and stopping, per piece [s].
+        apart: pairs of bodies and pieces that have rows for their distance.
     """
 
     model: Model
@@ -53,86 +55,128 @@ class EventGrid:
     pieces: int
     times: list[Affine | float]
     knots: dict[str, list[Point]]
-    hits: list[dict[str, Affine]]
+    hits: list[dict[Hitter, Affine | float]]
     sides: list[list[Affine]]
-    object: str
-    caps: list[float]
+    objects: tuple[str, ...]
+    caps: dict[str, list[float]]
     speeds: dict[str, float]
     turns: dict[str, float]
+    apart: set[tuple[str, str, int]] = field(default_factory=set)
 
     @property
     def count(self) -> int:
         """Return the number of pieces of all legs."""
         return len(self.times) - 1
 
-    @property
-    def path(self) -> list[Point]:
-        """Return the object's positions at t_0 .. t_{K+1} [m]."""
-        return self.knots[self.object][:: self.pieces]
+    def path(self, name: str) -> list[Point]:
+        """Return an object's positions at t_0 .. t_{K+1} [m]."""
+        return self.knots[name][:: self.pieces]
 
     def duration(self, piece: int) -> Affine | float:
         """Return the duration of a piece [s]."""
         return self.times[piece + 1] - self.times[piece]
 
-    def hits_at(self, knot: int) -> dict[str, Affine]:
-        """Return who may hit at a knot; nobody between events."""
+    def fastest(self, body: str, piece: int) -> float:
+        """Return the greatest speed per axis of a body on a piece [m/s]."""
+        return self.caps[body][piece] if body in self.caps else self.speeds[body]
+
+    def hit_at(self, knot: int, body: str) -> Affine | float:
+        """Return whether a body takes part in the impact at a knot; nobody does between events."""
         event, rest = divmod(knot, self.pieces)
-        return self.hits[event - 1] if rest == 0 and 1 <= event <= len(self.hits) else {}
+        if rest or not 1 <= event <= len(self.hits):
+            return 0.0
+        return self.involved(event, body)
+
+    def involved(self, event: int, body: str) -> Affine | float:
+        """Return whether a robot or object takes part in an event; the only object always does."""
+        if self.objects == (body,):
+            return 1.0
+        return sum((hit for pair, hit in self.hits[event - 1].items() if body in pair), 0.0)
+
+    def strikes(self, events: range, name: str) -> Affine | float:
+        """Return how often an object is hit in a range of events."""
+        return sum((self.involved(event, name) for event in events), 0.0)
 
 
 def build_event_grid(
-    scenario: FreeFlyerScenario, impacts: int, rho: tuple[float, float], reserves: Reserves, pieces: int = 1
+    scenario: FreeFlyerScenario,
+    impacts: int,
+    rho: tuple[float, float],
+    reserves: Reserves,
+    pieces: int = 1,
+    word: Word | None = None,
+    elastic: bool = False,
 ) -> EventGrid:
-    """Build the model of all motions with a given number of impacts, without any formula.
+    """Build the model of all motions with a given number of impacts, without any formula or distances.
 
     Args:
-        scenario: one object, any number of robots.
+        scenario: any numbers of robots and objects.
         impacts: number K of impacts.
         rho: least and greatest robustness allowed [m].
         reserves: what the plan keeps in hand.
         pieces: number of pieces per leg.
+        word: who hits what at each impact; open without.
+        elastic: whether limits and clearances may be violated, see `Model`.
 
     Returns:
-        The grid; `add_requirements` adds the formula, the stages their objectives.
+        The grid; `add_requirements` adds the formula, the stages their objectives, `solve_apart` distances.
 
     Raises:
         Infeasible: the variable bounds alone exclude every plan.
 
     Source: Verhagen & Tumova, Eqs. (5), (9b)-(9e), on a grid of events.
     """
-    model = Model(f"event grid of {scenario.name} with {impacts} impacts")
+    model = Model(f"event grid of {scenario.name} with {impacts} impacts", elastic)
+    objects = tuple(scenario.objects)
     grid = EventGrid(
         model=model,
         rho=model.variable(*rho),
         pieces=pieces,
         times=_add_times(model, scenario, impacts, pieces, reserves),
-        knots={name: _add_knots(model, scenario, name, impacts, pieces, reserves) for name in scenario.bodies},
-        hits=[{robot: model.binary() for robot in scenario.robots} for _ in range(impacts)],
+        knots={name: _add_knots(model, scenario, name, impacts, pieces, reserves, word) for name in scenario.bodies},
+        hits=[_add_hits(model, scenario, None if word is None else word[k]) for k in range(impacts)],
         sides=[[model.binary() for _ in DIRECTIONS] for _ in range(impacts)],
-        object=next(iter(scenario.objects)),
-        caps=[cap for cap in compute_speed_caps(scenario, impacts, reserves) for _ in range(pieces)],
+        objects=objects,
+        caps={
+            name: [cap for cap in compute_speed_caps(scenario, name, impacts, reserves) for _ in range(pieces)]
+            for name in objects
+        },
         speeds={name: reserves.cruise(robot) for name, robot in scenario.robots.items()},
         turns={name: reserves.turning(robot) / pieces for name, robot in scenario.robots.items()},
     )
-    _add_impact_rows(grid, scenario)
+    for event in range(1, impacts + 1):
+        _add_impact_rows(grid, scenario, event)
+        for name in objects:
+            _add_cone_rows(grid, event, name)
+    _add_gap_rows(grid, scenario, reserves)
+    if len(objects) > 1:
+        _add_rest_rows(grid, scenario)
     _add_speed_rows(grid)
-    _add_clearance_rows(grid, scenario, reserves)
     return grid
 
 
 def _add_times(
     model: Model, scenario: FreeFlyerScenario, impacts: int, pieces: int, reserves: Reserves
 ) -> list[Affine | float]:
-    first, gap, last = reserves.times(scenario.horizon)
+    first, _, last = reserves.times(scenario.horizon)
     latest = max(scenario.horizon - last, first)
     events = [model.variable(first, latest) for _ in range(impacts)]
-    for earlier, later in itertools.pairwise(events):
-        model.require(gap - (later - earlier))
     return _refine([0.0, *events, scenario.horizon], pieces)
 
 
+def _add_hits(model: Model, scenario: FreeFlyerScenario, given: Hitter | None) -> dict[Hitter, Affine | float]:
+    pairs = itertools.product(scenario.robots, scenario.objects)
+    return {pair: model.binary() if given is None else float(pair == given) for pair in pairs}
+
+
 def _add_knots(
-    model: Model, scenario: FreeFlyerScenario, name: str, impacts: int, pieces: int, reserves: Reserves
+    model: Model,
+    scenario: FreeFlyerScenario,
+    name: str,
+    impacts: int,
+    pieces: int,
+    reserves: Reserves,
+    word: Word | None,
 ) -> list[Point]:
     body = scenario.body(name)
     inset = body.radius + reserves.wall
@@ -143,8 +187,14 @@ def _add_knots(
         return [start, *between, model.vector(lower, upper) if body.goal is None else np.array(body.goal)]
     if impacts == 0:
         return _refine([start, start], pieces)
-    knots = [start, start, *(model.vector(lower, upper) for _ in range(impacts - 1))]
-    return _refine([*knots, knots[-1] if body.rest else model.vector(lower, upper)], pieces)
+    # A body may start nearer to the world's edge than the reserve.
+    lower, upper = np.minimum(lower, start), np.maximum(upper, start)
+    struck = [True] * impacts if word is None else [hit[1] == name for hit in word]
+    knots = [start, start]
+    for k in range(1, impacts + 1):
+        flies = any(struck[:k]) and (any(struck[k:]) or not body.rest)
+        knots.append(model.vector(lower, upper) if flies else knots[-1])
+    return _refine(knots, pieces)
 
 
 def _refine(values: Sequence[Any], pieces: int) -> list[Any]:
@@ -156,37 +206,72 @@ def _refine(values: Sequence[Any], pieces: int) -> list[Any]:
     return fine
 
 
-def _add_impact_rows(grid: EventGrid, scenario: FreeFlyerScenario) -> None:
-    """Say who hits, from which side, where it stands, and that the impulse points away from it."""
-    model, radius = grid.model, scenario.objects[grid.object].radius
-    for k, (hits, sides) in enumerate(zip(grid.hits, grid.sides, strict=True), start=1):
+def _add_impact_rows(grid: EventGrid, scenario: FreeFlyerScenario, event: int) -> None:
+    """Say who hits what, from which side, and where it stands."""
+    model, hits, sides = grid.model, grid.hits[event - 1], grid.sides[event - 1]
+    if any(isinstance(hit, Affine) for hit in hits.values()):
         model.require_equal(sum(hits.values(), Affine({})) - 1.0)
-        model.require_equal(sum(sides, Affine({})) - 1.0)
-        toward = np.array(sides, dtype=object) @ DIRECTIONS
-        for robot, hit in hits.items():
-            reach = scenario.robots[robot].radius + radius
-            miss = grid.knots[robot][k * grid.pieces] + toward * reach - grid.path[k]
-            for entry in miss:
-                model.require(entry, unless=1.0 - hit)
-                model.require(-entry, unless=1.0 - hit)
-        _add_cone_rows(grid, k)
+    model.require_equal(sum(sides, Affine({})) - 1.0)
+    toward = np.array(sides, dtype=object) @ DIRECTIONS
+    for (robot, name), hit in hits.items():
+        reach = scenario.robots[robot].radius + scenario.objects[name].radius
+        miss = grid.knots[robot][event * grid.pieces] + toward * reach - grid.path(name)[event]
+        for entry in miss:
+            model.require(entry, unless=1.0 - hit)
+            model.require(-entry, unless=1.0 - hit)
 
 
-def _add_cone_rows(grid: EventGrid, k: int) -> None:
-    """Keep the impulse of event k near its direction, and not nil.
+def _add_cone_rows(grid: EventGrid, event: int, name: str) -> None:
+    """Keep the impulse on an object near its direction, and not nil.
 
     The impulse is along D_k / T_k - D_{k-1} / T_{k-1}. Quotients are beyond linear rows, but a cone that holds
-    D_k and -D_{k-1} holds their sum with any positive weights.
+    D_k and -D_{k-1} holds their sum with any positive weights. Where one of them is nil, a narrower cone does.
     """
-    path = grid.path
-    pushes = [path[k + 1] - path[k], path[k - 1] - path[k]]
-    moving = [push for push in pushes if any(grid.model.limits(entry) != (0.0, 0.0) for entry in push)]
-    widest = CONE_TURNING if len(moving) > 1 else CONE_AT_REST
-    for side, direction in zip(grid.sides[k - 1], DIRECTIONS, strict=True):
-        across = np.array([-direction[1], direction[0]])
-        grid.model.require(LEAST_PUSH - direction @ (pushes[0] + pushes[1]), unless=1.0 - side)
-        for push, sign in itertools.product(moving, (1.0, -1.0)):
-            grid.model.require((sign * across - widest * direction) @ push, unless=1.0 - side)
+    path, count = grid.path(name), len(grid.hits)
+    missed = 1.0 - grid.involved(event, name)
+    pushes = [
+        (path[event + 1] - path[event], grid.strikes(range(1, event), name)),
+        (path[event - 1] - path[event], grid.strikes(range(event + 1, count + 1), name)),
+    ]
+    moving = [push for push in pushes if any(grid.model.limits(entry) != (0.0, 0.0) for entry in push[0])]
+    for side, direction in zip(grid.sides[event - 1], DIRECTIONS, strict=True):
+        across, off = np.array([-direction[1], direction[0]]), 1.0 - side + missed
+        grid.model.require(LEAST_PUSH - direction @ (pushes[0][0] + pushes[1][0]), unless=off)
+        for (push, others), sign in itertools.product(moving, (1.0, -1.0)):
+            widest = CONE_TURNING if len(moving) > 1 else CONE_AT_REST
+            grid.model.require((sign * across - widest * direction) @ push, unless=off)
+            if len(moving) > 1 and isinstance(others, Affine):
+                grid.model.require((sign * across - CONE_AT_REST * direction) @ push, unless=off + others)
+
+
+def _add_gap_rows(grid: EventGrid, scenario: FreeFlyerScenario, reserves: Reserves) -> None:
+    """Order the events, and leave a robot and an object time between two impacts of their own."""
+    gap, events = reserves.times(scenario.horizon)[1], grid.times[:: grid.pieces]
+    for first, second in itertools.combinations(range(1, len(grid.hits) + 1), 2):
+        wait = events[second] - events[first]
+        if len(grid.objects) == 1:
+            if second == first + 1:
+                grid.model.require(gap - wait)
+            continue
+        if second == first + 1:
+            grid.model.require(scenario.control_period - wait)
+        for body in scenario.bodies:
+            again = grid.involved(first, body) + grid.involved(second, body)
+            grid.model.require(gap - wait, unless=2.0 - again)
+
+
+def _add_rest_rows(grid: EventGrid, scenario: FreeFlyerScenario) -> None:
+    """Keep objects where they are before their first impact, and after their last one if they have to rest."""
+    count = len(grid.hits)
+    for name, body in scenario.objects.items():
+        path = grid.path(name)
+        for leg in range(1, count + body.rest):
+            before = grid.strikes(range(1, leg + 1), name)
+            after = grid.strikes(range(leg + 1, count + 1), name)
+            for step, sign in itertools.product(path[leg + 1] - path[leg], (1.0, -1.0)):
+                grid.model.require(step * sign, unless=before)
+                if body.rest:
+                    grid.model.require(step * sign, unless=after)
 
 
 def _add_speed_rows(grid: EventGrid) -> None:
@@ -194,50 +279,10 @@ def _add_speed_rows(grid: EventGrid) -> None:
 
     |D| <= v (T - v / a) is what a leg from rest to rest needs at acceleration a and speed v at most.
     """
-    for piece in range(grid.count):
-        for name, knots in grid.knots.items():
-            speed = grid.caps[piece] if name == grid.object else grid.speeds[name]
-            cruise = grid.duration(piece) - grid.turns.get(name, 0.0)
-            for step in knots[piece + 1] - knots[piece]:
-                grid.model.require(step - speed * cruise)
-                grid.model.require(-step - speed * cruise)
-
-
-def _add_clearance_rows(grid: EventGrid, scenario: FreeFlyerScenario, reserves: Reserves) -> None:
-    """Keep every robot on one side of the object and of every other robot during each piece.
-
-    Two bodies on one piece move linearly against each other, so their separation along an axis at both ends is
-    their separation in between. A robot that hits stands at contact distance at that end, where its side of the
-    impact is the only one possible: it neither overtakes the object nor changes sides between two own impacts.
-    """
-    for first, second in itertools.combinations(scenario.bodies, 2):
-        touching = scenario.body(first).radius + scenario.body(second).radius
-        for piece in range(grid.count):
-            alternatives = []
-            for axis in AXES:
-                rows = []
-                for knot in (piece, piece + 1):
-                    apart = axis @ (grid.knots[second][knot] - grid.knots[first][knot])
-                    rows.append(_wanted(grid, (first, second), knot, apart, touching, reserves) - apart)
-                alternatives.append(rows)
-            grid.model.require_any(alternatives)
-
-
-def _wanted(
-    grid: EventGrid,
-    pair: tuple[str, str],
-    knot: int,
-    apart: Affine | float,
-    touching: float,
-    reserves: Reserves,
-) -> Affine | float:
-    """Return the separation wanted along one axis: contact at own impacts, what is given at fixed ends."""
-    first, second = pair
-    # A diagonal contact counts as clear of both its axes.
-    nearest, far = touching * np.sqrt(0.5) - COARSE, touching + reserves.clearance
-    if not isinstance(apart, Affine):
-        return min(max(float(apart), nearest), far)
-    if knot == grid.count:
-        return touching + reserves.wall
-    hits = grid.hits_at(knot)
-    return far - (far - nearest) * hits[first] if second == grid.object and hits else far
+    for name, knots in grid.knots.items():
+        with grid.model.part(f"speed of {name}", 1e3):
+            for piece in range(grid.count):
+                cruise = grid.duration(piece) - grid.turns.get(name, 0.0)
+                for step in knots[piece + 1] - knots[piece]:
+                    grid.model.require(step - grid.fastest(name, piece) * cruise)
+                    grid.model.require(-step - grid.fastest(name, piece) * cruise)

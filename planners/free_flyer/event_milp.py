@@ -7,19 +7,23 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
 
 from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.errors import Infeasible, PlanningError, SolverFailed
+from planners.free_flyer.clearance_rows import solve_apart
 from planners.free_flyer.effort import EffortOptimum, minimise_effort
 from planners.free_flyer.event_grid import build_event_grid
-from planners.free_flyer.events import compute_impacts, make_object_curve
+from planners.free_flyer.events import Word, compute_impacts, make_object_curve
 from planners.free_flyer.formula_rows import add_requirements
 from planners.free_flyer.requirement import Requirement, compute_geometric_bound, read_requirements
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.smoothing import smooth_motions
 from planners.free_flyer.validation import check_plan
-from planners.mixed_integer import solve_mixed_integer
+from planners.mixed_integer import Model, solve_mixed_integer
 from planners.plan import Plan
 
 OBJECTIVES = ("robustness",)
@@ -91,7 +95,7 @@ def make_free_flyer_plan(
     A task that leaves no room for the reserves is planned with half of them, then with a quarter.
 
     Args:
-        scenario: one disc object and any number of robots; only believed physics are read.
+        scenario: any numbers of robots and disc objects; only believed physics are read.
         objective: "robustness".
         max_impacts: greatest number of impacts tried.
         time_limit: wall time for all stages [s].
@@ -167,7 +171,7 @@ def maximise_robustness(
             grid.model.objective = -grid.rho
             # Once there is a plan, looking for a more robust one with more impacts must leave time to finish it.
             limit = clock.left if best is None else clock.limit / 4 - clock.elapsed
-            rho = -solve_mixed_integer(grid.model, limit).objective
+            rho = grid.rho.value(solve_apart(grid, scenario, reserves, partial(_solve_point, grid.model, limit)))
         except Infeasible:
             continue
         except SolverFailed:
@@ -184,6 +188,10 @@ def maximise_robustness(
     return best
 
 
+def _solve_point(model: Model, time_limit: float) -> np.ndarray:
+    return solve_mixed_integer(model, time_limit).x
+
+
 def _plan_events(
     scenario: FreeFlyerScenario,
     needs: tuple[Requirement, ...],
@@ -196,7 +204,7 @@ def _plan_events(
     shape = optimum.impacts, optimum.pieces
     for turn in TURNS:
         slower = replace(reserves, turn=turn * reserves.turn)
-        forbidden: list[tuple[str, ...]] = []
+        forbidden: list[Word] = []
         for _ in range(WORDS):
             try:
                 with clock.stage("effort"):
@@ -237,7 +245,7 @@ def _finish(
         effort_bound=events.bound,
         impacts=impacts,
         robots=curves,
-        objects={sequence.object: make_object_curve(sequence)},
+        objects={name: make_object_curve(sequence, name) for name in scenario.objects},
         solve_seconds=0.0,
         stage_seconds={},
         validated=False,
@@ -262,8 +270,8 @@ def _check_arguments(scenario: FreeFlyerScenario, objective: str, max_impacts: i
         raise InputError(f"max_impacts is {max_impacts}, it must not be negative")
     if not time_limit > 0:
         raise InputError(f"time_limit is {time_limit} s, it must be positive")
-    if len(scenario.objects) != 1:
-        raise InputError(f"{scenario.name}: this planner takes one object, got {len(scenario.objects)}")
+    if not scenario.objects:
+        raise InputError(f"{scenario.name}: objects: this planner takes at least one, got none")
     for name, body in scenario.objects.items():
         if body.vertices is not None:
             raise InputError(f"{scenario.name}: objects.{name}: this planner takes disc objects, got a polygon")

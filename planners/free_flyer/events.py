@@ -12,40 +12,54 @@ from planners.errors import Infeasible
 from planners.free_flyer.reserves import Reserves
 from planners.plan import PlannedImpact
 
+Hitter = tuple[str, str]  # robot, object
+Word = tuple[Hitter, ...]  # who hits what, in the order of time
+
 
 @dataclass(frozen=True)
 class EventSequence:
-    """Hold numbers for the events of a plan: who hits when and where.
+    """Hold numbers for the events of a plan: who hits what, when and where.
 
     Args:
         times: t_0 = 0, impact times, t_{K+1} = T, shape (K+2,) [s].
-        object: name of the object.
-        path: positions of the object at these times, shape (K+2, 2) [m].
-        knots: robot name to its positions, every leg cut into n equal pieces, shape (n (K+1) + 1, 2) [m].
-        hitters: name of the robot of each impact.
+        paths: object name to its positions at these times, each shape (K+2, 2) [m].
+        knots: robot name to its positions, every leg cut into n equal pieces, each shape (n (K+1) + 1, 2) [m].
+        hitters: names of robot and object of each impact.
     """
 
     times: np.ndarray
-    object: str
-    path: np.ndarray
+    paths: dict[str, np.ndarray]
     knots: dict[str, np.ndarray]
-    hitters: tuple[str, ...]
+    hitters: Word
 
     def knot_times(self, count: int) -> np.ndarray:
         """Return the times of so many knots, equally many on every leg, shape (count,) [s]."""
         return np.interp(np.linspace(0, len(self.times) - 1, count), np.arange(len(self.times)), self.times)
 
 
-def make_object_curve(sequence: EventSequence) -> Curve:
-    """Return the object's curve: straight and uniform between events.
+def own_events(word: Word, name: str) -> list[int]:
+    """Return the numbers of the events that change an object's velocity, and of both ends: within 0 .. K+1.
+
+    Args:
+        word: who hits what at each impact.
+        name: of the object.
+    """
+    return [0, *(k for k, (_, struck) in enumerate(word, start=1) if struck == name), len(word) + 1]
+
+
+def make_object_curve(sequence: EventSequence, name: str) -> Curve:
+    """Return an object's curve: straight and uniform between its own events.
 
     Args:
         sequence: events.
+        name: of the object.
 
     Returns:
         A curve of degree 1.
     """
-    return Curve(sequence.times, np.stack([sequence.path[:-1], sequence.path[1:]], axis=1))
+    own = own_events(sequence.hitters, name)
+    points = sequence.paths[name][own]
+    return Curve(sequence.times[own], np.stack([points[:-1], points[1:]], axis=1))
 
 
 def compute_impacts(scenario: FreeFlyerScenario, sequence: EventSequence) -> tuple[PlannedImpact, ...]:
@@ -67,11 +81,14 @@ def compute_impacts(scenario: FreeFlyerScenario, sequence: EventSequence) -> tup
 
     Source: Verhagen & Tumova, Eqs. (5), (6).
     """
-    body, e = scenario.objects[sequence.object], scenario.believed.restitution
-    velocities = np.diff(sequence.path, axis=0) / np.diff(sequence.times)[:, None]
     impacts = []
-    for k, name in enumerate(sequence.hitters, start=1):
-        robot, minus, plus = scenario.robots[name], velocities[k - 1], velocities[k]
+    for k, (name, struck) in enumerate(sequence.hitters, start=1):
+        robot, body, e = scenario.robots[name], scenario.objects[struck], scenario.believed.restitution
+        own, path = own_events(sequence.hitters, struck), sequence.paths[struck]
+        before, after = own[own.index(k) - 1], own[own.index(k) + 1]
+        minus, plus = (
+            (path[b] - path[a]) / (sequence.times[b] - sequence.times[a]) for a, b in ((before, k), (k, after))
+        )
         m1, m2, m3, m4 = compute_mass_fractions(robot.mass, body.mass, e)
         change = float(np.linalg.norm(plus - minus))
         if change < 1e-3:
@@ -82,9 +99,9 @@ def compute_impacts(scenario: FreeFlyerScenario, sequence: EventSequence) -> tup
             PlannedImpact(
                 time=float(sequence.times[k]),
                 robot=name,
-                object=sequence.object,
-                position=sequence.path[k],
-                contact=sequence.path[k] - (robot.radius + body.radius) * normal,
+                object=struck,
+                position=path[k],
+                contact=path[k] - (robot.radius + body.radius) * normal,
                 normal=normal,
                 robot_minus=robot_minus,
                 robot_plus=m1 * robot_minus + m2 * minus,
@@ -95,16 +112,18 @@ def compute_impacts(scenario: FreeFlyerScenario, sequence: EventSequence) -> tup
     return tuple(impacts)
 
 
-def compute_speed_caps(scenario: FreeFlyerScenario, impacts: int, reserves: Reserves) -> list[float]:
-    r"""Return the greatest speed per axis of every leg of the object.
+def compute_speed_caps(scenario: FreeFlyerScenario, name: str, impacts: int, reserves: Reserves) -> list[float]:
+    r"""Return the greatest speed per axis of every leg of an object.
 
     A leg between impacts with |v^-|, |v^+| <= c per axis needs robot velocities v_R^- = (v^+ - m4 v^-) / m3
     and v_R^+ = m1 v_R^- + m2 v^-, which keep |v_R| <= v_max if
     c <= v_max / max((1 + |m4|) / m3, |m1| / m3 + |m2 - m1 m4 / m3|).
-    The object is at rest before the first impact, and after the last one if it has to be.
+    The object is at rest before the first impact, and after the last one if it has to be. Where several objects
+    share the impacts, whose is the first or last is open, and the least of these speeds holds for all legs.
 
     Args:
         scenario: masses, restitution and speed limits.
+        name: of the object.
         impacts: number K of impacts.
         reserves: what the plan keeps in hand.
 
@@ -113,7 +132,7 @@ def compute_speed_caps(scenario: FreeFlyerScenario, impacts: int, reserves: Rese
 
     Source: Verhagen & Tumova, Eq. (5), solved for the robot's velocities.
     """
-    body = next(iter(scenario.objects.values()))
+    body = scenario.objects[name]
     free, first, last = [], [], []
     for robot in scenario.robots.values():
         m1, m2, m3, m4 = compute_mass_fractions(robot.mass, body.mass, scenario.believed.restitution)
@@ -122,10 +141,10 @@ def compute_speed_caps(scenario: FreeFlyerScenario, impacts: int, reserves: Rese
         first.append(limit / max(1 / m3, abs(m1) / m3))
         last.append(limit / max(abs(m4) / m3, through, 1e-9))
     at_impact = [min(free)] * impacts
-    if impacts:
+    if impacts and len(scenario.objects) == 1:
         at_impact[0] = min(first)
-    if impacts > 1 and body.rest:
-        at_impact[-1] = min(last)
+        if impacts > 1 and body.rest:
+            at_impact[-1] = min(last)
     moving = [min(body.speed_limit, *at_impact[k : k + 2]) for k in range(impacts)]
     return [0.0, *moving[:-1], 0.0 if body.rest else moving[-1]] if impacts else [0.0]
 

@@ -78,7 +78,7 @@ def _add_reach_rows(grid: EventGrid, need: Requirement, passing: bool) -> None:
     for piece in range(grid.count):
         inside = [*_inside(grid, need, knots[piece]), *_inside(grid, need, knots[piece + 1])]
         alternatives.append([times[piece] - need.end, need.start - times[piece + 1], *inside])
-        for fraction in FRACTIONS if passing and grid.caps[piece] > 0.0 else ():
+        for fraction in FRACTIONS if passing and grid.fastest(need.body, piece) > 0.0 else ():
             point = knots[piece] + (knots[piece + 1] - knots[piece]) * fraction
             moments.append((times[piece] + grid.duration(piece) * fraction, point))
     for time, point in moments:

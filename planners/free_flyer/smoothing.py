@@ -38,7 +38,7 @@ class _Problem:
     reserves: Reserves
     times: np.ndarray
     splines: dict[str, QuinticSpline]
-    object_points: np.ndarray  # of the object on every segment, shape (S, 6, 2)
+    object_points: dict[str, np.ndarray]  # of every object on every segment, shape (S, 6, 2)
 
 
 def smooth_motions(
@@ -99,8 +99,10 @@ def _build_problem(
     times = _make_breakpoints(sequence.times, windows)
     splines = {name: _make_spline(scenario, times, impacts, name) for name in scenario.robots}
     moments = next(iter(splines.values())).greville()
-    path = make_object_curve(sequence).position(moments)
-    object_points = path.reshape(-1, DEGREE + 1, 2)
+    object_points = {
+        name: make_object_curve(sequence, name).position(moments).reshape(-1, DEGREE + 1, 2)
+        for name in scenario.objects
+    }
     return _Problem(scenario, sequence, impacts, needs, rho, reserves, times, splines, object_points)
 
 
@@ -145,7 +147,8 @@ def _solve_round(problem: _Problem, points: dict[str, np.ndarray]) -> tuple[dict
     for name in splines:
         _add_limits(rows, problem, name)
         _add_areas(rows, problem, name, points[name])
-        _add_object_clearance(rows, problem, name, points[name])
+        for struck in problem.scenario.objects:
+            _add_object_clearance(rows, problem, name, struck, points[name])
     for first, second in itertools.combinations(splines, 2):
         _add_robot_clearance(rows, problem, first, second, points)
     A, b = rows.stack()
@@ -223,19 +226,19 @@ def _add_halfspaces(
     rows.add([(name, problem.splines[name].position, normals.reshape(-1, 2))], limits.ravel(), soft)
 
 
-def _add_object_clearance(rows: SplineRows, problem: _Problem, name: str, points: np.ndarray) -> None:
-    """Keep the robot off the object, at contact distance only at its own impacts."""
+def _add_object_clearance(rows: SplineRows, problem: _Problem, name: str, struck: str, points: np.ndarray) -> None:
+    """Keep the robot off an object, at contact distance only at its own impacts with it."""
     scenario, sequence = problem.scenario, problem.sequence
-    own = [impact for impact in problem.impacts if impact.robot == name]
-    touching = scenario.robots[name].radius + scenario.objects[sequence.object].radius
-    normals = _sides(problem.object_points - points)
+    own = [impact for impact in problem.impacts if (impact.robot, impact.object) == (name, struck)]
+    touching = scenario.robots[name].radius + scenario.objects[struck].radius
+    normals = _sides(problem.object_points[struck] - points)
     for impact in own:
         for segment in np.flatnonzero((problem.times[:-1] == impact.time) | (problem.times[1:] == impact.time)):
             normals[segment] = impact.normal
     anchors = [(impact.time, touching, _parting_speed(scenario, impact)) for impact in own]
-    anchors += _fixed_ends(problem, sequence.path, sequence.knots[name])
+    anchors += _fixed_ends(problem, sequence.paths[struck], sequence.knots[name])
     wanted = _distance_profile(problem, name, touching + problem.reserves.clearance, anchors)
-    limits = np.sum(normals * problem.object_points, axis=2) - wanted
+    limits = np.sum(normals * problem.object_points[struck], axis=2) - wanted
     _add_halfspaces(rows, problem, name, normals, limits, "clearance")
 
 
