@@ -231,24 +231,53 @@ def solve_mixed_integer(model: Model, time_limit: float, relative_gap: float = 1
         Infeasible: proven to have no solution.
         SolverFailed: no point within the time limit.
     """
+    solver = _run_highs(model, time_limit, relative_gap)
+    info = solver.getInfo()
+    if info.primal_solution_status != highspy.SolutionStatus.kSolutionStatusFeasible:
+        text = solver.modelStatusToString(solver.getModelStatus()).lower()
+        raise SolverFailed(model.name, f"HiGHS: {text}, no solution found", "raise the time limit")
+    x = np.array(solver.getSolution().col_value)
+    bound = info.mip_dual_bound if any(model.integer) else info.objective_function_value
+    return Solution(x, info.objective_function_value, bound)
+
+
+def compute_lower_bound(model: Model, time_limit: float, nodes: int) -> tuple[float, np.ndarray | None]:
+    """Return what no point of a model can go below, after so many nodes of the search at most.
+
+    Args:
+        model: the model.
+        time_limit: wall time [s].
+        nodes: of branch and bound; 0 solves the linear relaxation alone.
+
+    Returns:
+        The bound, and the best point found on the way, shape (n,), if any; without nodes its integers are not.
+
+    Raises:
+        Infeasible: proven to have no solution.
+    """
+    solver = _run_highs(model, time_limit, 1e-4, nodes)
+    info = solver.getInfo()
+    found = info.primal_solution_status == highspy.SolutionStatus.kSolutionStatusFeasible
+    bound = info.mip_dual_bound if nodes else info.objective_function_value
+    return bound, np.array(solver.getSolution().col_value) if found else None
+
+
+def _run_highs(model: Model, time_limit: float, relative_gap: float, nodes: int | None = None) -> highspy.Highs:
     solver = highspy.Highs()
     for option, value in (("output_flag", False), ("threads", 1), ("time_limit", max(time_limit, 0.1))):
         solver.setOptionValue(option, value)
     for option in ("mip_feasibility_tolerance", "primal_feasibility_tolerance"):
         solver.setOptionValue(option, 1e-8)
     solver.setOptionValue("mip_rel_gap", relative_gap)
+    if nodes is not None:
+        solver.setOptionValue("solve_relaxation", nodes == 0)
+        solver.setOptionValue("mip_max_nodes", max(nodes, 1))
     solver.passModel(_highs_problem(model))
     solver.run()
-    status = solver.getModelStatus()
-    info = solver.getInfo()
-    if status in (highspy.HighsModelStatus.kInfeasible, highspy.HighsModelStatus.kUnboundedOrInfeasible):
+    status = highspy.HighsModelStatus
+    if solver.getModelStatus() in (status.kInfeasible, status.kUnboundedOrInfeasible):
         raise Infeasible(model.name, "proven infeasible", "relax the formula, the limits or the horizon")
-    if info.primal_solution_status != highspy.SolutionStatus.kSolutionStatusFeasible:
-        text = solver.modelStatusToString(status).lower()
-        raise SolverFailed(model.name, f"HiGHS: {text}, no solution found", "raise the time limit")
-    x = np.array(solver.getSolution().col_value)
-    bound = info.mip_dual_bound if any(model.integer) else info.objective_function_value
-    return Solution(x, info.objective_function_value, bound)
+    return solver
 
 
 def _highs_problem(model: Model) -> highspy.HighsLp:

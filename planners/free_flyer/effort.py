@@ -22,6 +22,8 @@ from planners.mixed_integer import Affine, Model, evaluate, solve_mixed_integer
 TANGENTS = 12  # perspective cuts per sign
 RELATIVE_GAP = 0.01
 ROUNDS = 4  # of outer approximation, at most
+# Reach areas at events only; keep the reserve from areas to avoid. In the order they are given up.
+WISHES = ((True, True), (True, False), (False, True), (False, False))
 
 
 @dataclass(frozen=True)
@@ -72,17 +74,45 @@ def minimise_effort(
         Infeasible: no such events.
         SolverFailed: out of time.
     """
-    far = [replace(need, reserve=reserves.avoid) if need.kind == "avoid" else need for need in needs]
     failure: Infeasible | None = None
-    for passing, wanted in ((False, far), (False, needs), (True, far), (True, needs)):
+    for wish in WISHES:
         try:
-            grid = build_event_grid(scenario, shape[0], (rho - 1e-9, rho), reserves, shape[1], word)
-            add_requirements(grid, wanted, scenario.control_period, passing)
+            grid = build_effort_grid(scenario, needs, shape, rho, reserves, wish, word)
             return _EffortProblem(scenario, grid, reserves, forbidden, time_limit).solve()
         except Infeasible as error:
             failure = error
     assert failure is not None
     raise failure
+
+
+def build_effort_grid(
+    scenario: FreeFlyerScenario,
+    needs: Sequence[Requirement],
+    shape: tuple[int, int],
+    rho: float,
+    reserves: Reserves,
+    wish: tuple[bool, bool],
+    word: Word | None = None,
+) -> EventGrid:
+    """Build the grid of all events that keep a robustness, without effort.
+
+    Args:
+        scenario: what to plan.
+        needs: its requirements.
+        shape: number of impacts, and of pieces per leg.
+        rho: robustness to keep [m].
+        reserves: what the plan keeps in hand.
+        wish: one of `WISHES`.
+        word: who hits what; open without.
+
+    Raises:
+        Infeasible: the variable bounds alone exclude every such plan.
+    """
+    at_events, far = wish
+    wanted = [replace(need, reserve=reserves.avoid) if far and need.kind == "avoid" else need for need in needs]
+    grid = build_event_grid(scenario, shape[0], (rho - 1e-9, rho), reserves, shape[1], word)
+    add_requirements(grid, wanted, scenario.control_period, passing=not at_events)
+    return grid
 
 
 class _EffortProblem:
@@ -97,7 +127,7 @@ class _EffortProblem:
         time_limit: float,
     ) -> None:
         self.scenario, self.grid, self.reserves, self.time_limit = scenario, grid, reserves, time_limit
-        self.shares = _add_effort(grid)
+        self.shares = add_effort(grid, TANGENTS)
         self.bound = 0.0
         for excluded in forbidden:
             same = [grid.hits[k][pair] for k, pair in enumerate(excluded)]
@@ -128,22 +158,24 @@ class _EffortProblem:
         return solve_cones(self.grid.model, relaxed.x, self.shares)
 
     def _straighten(self, x: np.ndarray) -> np.ndarray:
-        """Solve again with the times and the word of a point, and objects straight and uniform between own events."""
-        grid, model, period = self.grid, self.grid.model, self.scenario.control_period
-        times = np.round(evaluate(grid.times[:: grid.pieces], x) / period) * period
-        for time, value in zip(grid.times[:: grid.pieces][1:-1], times[1:-1], strict=True):
-            _fix(model, time, value)
+        """Solve again with objects straight and uniform between their own events.
+
+        Where another object's event divides a flight, the shares of time and way before it are both what the point
+        has: rows are then linear, and all times and places stay free.
+        """
+        grid, model = self.grid, self.grid.model
         for hits in grid.hits:
             for hit in hits.values():
-                _fix(model, hit, float(evaluate(hit, x)))
-        word = _read_word(grid, x)
+                _fix(model, hit, round(float(evaluate(hit, x))))
+        times, word = grid.times[:: grid.pieces], read_word(grid, x)
+        moments = evaluate(times, x)
         for name in grid.objects:
-            own = own_events(word, name)
-            for a, b in itertools.pairwise(own):
+            path = np.array(grid.path(name), dtype=object)
+            for a, b in itertools.pairwise(own_events(word, name)):
                 for k in range(a + 1, b):
-                    share = (times[k] - times[a]) / (times[b] - times[a])
-                    path = grid.path(name)
-                    for miss in path[k] - path[a] - (path[b] - path[a]) * share:
+                    share = (moments[k] - moments[a]) / (moments[b] - moments[a])
+                    for values in (path[:, 0], path[:, 1], times):
+                        miss = values[k] - values[a] - (values[b] - values[a]) * share
                         if isinstance(miss, Affine):
                             model.require_equal(miss)
         return solve_apart(grid, self.scenario, self.reserves, self._solve_round)
@@ -157,8 +189,16 @@ class _EffortProblem:
                     self.grid.model.require(move * (2 * slope) - duration * slope**2 - effort)
 
 
-def _add_effort(grid: EventGrid) -> list[tuple[Affine, Affine, Affine]]:
-    """Add e >= D^2 / T for every moving piece and axis as tangent planes; the objective is the sum of e."""
+def add_effort(grid: EventGrid, tangents: int) -> list[tuple[Affine, Affine, Affine]]:
+    """Add e >= D^2 / T for every moving piece and axis as tangent planes; the objective is the sum of e.
+
+    Args:
+        grid: gets variables, rows and the objective.
+        tangents: per sign.
+
+    Returns:
+        Expressions (e, D, T) of every piece and axis.
+    """
     shares = []
     total = Affine({})
     for name, knots in grid.knots.items():
@@ -170,7 +210,7 @@ def _add_effort(grid: EventGrid) -> list[tuple[Affine, Affine, Affine]]:
             for step in knots[start + stride] - knots[start] if fastest > 0.0 else ():
                 move = step + Affine({})
                 effort = grid.model.variable(0.0, fastest**2 * grid.model.limits(duration)[1])
-                for q in fastest * np.arange(1, TANGENTS + 1) / TANGENTS:
+                for q in fastest * np.arange(1, tangents + 1) / tangents:
                     for slope in (q, -q):
                         grid.model.require(move * (2 * slope) - duration * slope**2 - effort)
                 shares.append((effort, move, duration))
@@ -192,10 +232,11 @@ def _read_sequence(scenario: FreeFlyerScenario, grid: EventGrid, x: np.ndarray) 
     for name in scenario.bodies:
         knots[name][0] = scenario.body(name).start
     paths = {name: knots[name][:: grid.pieces] for name in grid.objects}
-    return EventSequence(times, paths, {name: knots[name] for name in scenario.robots}, _read_word(grid, x))
+    return EventSequence(times, paths, {name: knots[name] for name in scenario.robots}, read_word(grid, x))
 
 
-def _read_word(grid: EventGrid, x: np.ndarray) -> Word:
+def read_word(grid: EventGrid, x: np.ndarray) -> Word:
+    """Return who hits what at a point of the grid's model, shape (n,)."""
     return tuple(max(hits, key=lambda pair: float(evaluate(hits[pair], x))) for hits in grid.hits)
 
 

@@ -209,8 +209,9 @@ def _refine(values: Sequence[Any], pieces: int) -> list[Any]:
 def _add_impact_rows(grid: EventGrid, scenario: FreeFlyerScenario, event: int) -> None:
     """Say who hits what, from which side, and where it stands."""
     model, hits, sides = grid.model, grid.hits[event - 1], grid.sides[event - 1]
-    if any(isinstance(hit, Affine) for hit in hits.values()):
-        model.require_equal(sum(hits.values(), Affine({})) - 1.0)
+    someone = sum(hits.values(), 0.0)
+    if isinstance(someone, Affine):
+        model.require_equal(someone - 1.0)
     model.require_equal(sum(sides, Affine({})) - 1.0)
     toward = np.array(sides, dtype=object) @ DIRECTIONS
     for (robot, name), hit in hits.items():

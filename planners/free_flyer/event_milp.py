@@ -17,10 +17,11 @@ from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.clearance_rows import solve_apart
 from planners.free_flyer.effort import EffortOptimum, minimise_effort
 from planners.free_flyer.event_grid import build_event_grid
-from planners.free_flyer.events import Word, compute_impacts, make_object_curve
+from planners.free_flyer.events import Hitter, Word, compute_impacts, make_object_curve
 from planners.free_flyer.formula_rows import add_requirements
 from planners.free_flyer.requirement import Requirement, compute_geometric_bound, read_requirements
 from planners.free_flyer.reserves import Reserves
+from planners.free_flyer.sequence_search import restrict_to_object, search_words
 from planners.free_flyer.smoothing import smooth_motions
 from planners.free_flyer.validation import check_plan
 from planners.mixed_integer import Model, solve_mixed_integer
@@ -43,12 +44,16 @@ class RobustnessOptimum:
         pieces: pieces per leg that robots need.
         rho: greatest robustness [m].
         bound: what no plan of any kind can exceed [m].
+        words: who hits what, least effort first; open if empty.
+        effort_bound: that no word goes below [m^2/s].
     """
 
     impacts: int
     pieces: int
     rho: float
     bound: float
+    words: tuple[Word, ...] = ()
+    effort_bound: float = 0.0
 
 
 @dataclass
@@ -86,7 +91,7 @@ class Clock:
 def make_free_flyer_plan(
     scenario: FreeFlyerScenario,
     objective: str = "robustness",
-    max_impacts: int = 6,
+    max_impacts: int | None = None,
     time_limit: float = 60.0,
     reserves: Reserves = Reserves(),  # noqa: B008 - frozen
 ) -> Plan:
@@ -97,7 +102,7 @@ def make_free_flyer_plan(
     Args:
         scenario: any numbers of robots and disc objects; only believed physics are read.
         objective: "robustness".
-        max_impacts: greatest number of impacts tried.
+        max_impacts: greatest number of impacts tried; as many as 6, and 3 for every further object without.
         time_limit: wall time for all stages [s].
         reserves: speed, time and distance kept in hand for the execution.
 
@@ -111,6 +116,8 @@ def make_free_flyer_plan(
 
     Source: Verhagen & Tumova, Sec. IV-B, on a grid of events.
     """
+    if max_impacts is None:
+        max_impacts = 3 + 3 * len(scenario.objects)
     _check_arguments(scenario, objective, max_impacts, time_limit)
     clock = Clock(time_limit)
     needs = read_requirements(scenario, reserves.wall)
@@ -118,7 +125,8 @@ def make_free_flyer_plan(
     for _ in range(HALVINGS + 1):
         try:
             with clock.stage("robustness"):
-                optimum = maximise_robustness(scenario, needs, max_impacts, reserves, clock)
+                search = maximise_robustness if len(scenario.objects) == 1 else maximise_jointly
+                optimum = search(scenario, needs, max_impacts, reserves, clock)
             return _plan_events(scenario, needs, optimum, reserves, clock)
         except PlanningError as error:
             failure = failure or error
@@ -135,6 +143,7 @@ def maximise_robustness(
     max_impacts: int,
     reserves: Reserves,
     clock: Clock,
+    fewest: int = 0,
 ) -> RobustnessOptimum:
     """Return the greatest robustness and the fewest impacts that attain it (stage A).
 
@@ -148,6 +157,7 @@ def maximise_robustness(
         max_impacts: greatest number of impacts tried.
         reserves: what the plan keeps in hand.
         clock: the time limit.
+        fewest: number of impacts to begin with.
 
     Returns:
         The optimum.
@@ -162,7 +172,7 @@ def maximise_robustness(
         status = f"fixed starts, goals and areas leave a robustness of {ceiling:.3g} m at best"
         raise Infeasible(problem, status, "move them, or relax the formula")
     best: RobustnessOptimum | None = None
-    for impacts, pieces in itertools.product(range(max_impacts + 1), PIECES):
+    for impacts, pieces in itertools.product(range(fewest, max_impacts + 1), PIECES):
         if best is not None and (pieces > best.pieces or best.impacts == impacts):
             continue
         try:
@@ -188,6 +198,53 @@ def maximise_robustness(
     return best
 
 
+def maximise_jointly(
+    scenario: FreeFlyerScenario,
+    needs: Sequence[Requirement],
+    max_impacts: int,
+    reserves: Reserves,
+    clock: Clock,
+) -> RobustnessOptimum:
+    """Return the optimum for several objects, from those of each object alone.
+
+    What the objects attain alone bounds what they attain together, in robustness and in number of impacts. A word
+    that attains both bounds is looked for first; only if there is none are all words open (see `maximise_robustness`).
+
+    Args:
+        scenario: what to plan.
+        needs: its requirements.
+        max_impacts: greatest number of impacts tried.
+        reserves: what the plan keeps in hand.
+        clock: the time limit.
+
+    Returns:
+        The optimum.
+
+    Raises:
+        Infeasible: no plan within max_impacts.
+        SolverFailed: out of time.
+    """
+    ceiling = compute_geometric_bound(scenario, needs)
+    rho, pieces = ceiling, 1
+    hits: list[tuple[float, Hitter]] = []
+    for name in scenario.objects:
+        alone = restrict_to_object(scenario, name)
+        if alone is None:
+            continue
+        demands = read_requirements(alone, reserves.wall)
+        optimum = maximise_robustness(alone, demands, max_impacts, reserves, clock)
+        rho, pieces = min(rho, optimum.rho), max(pieces, optimum.pieces)
+        shape = optimum.impacts, optimum.pieces
+        events = minimise_effort(alone, demands, shape, optimum.rho, reserves, [], clock.left)
+        hits += zip(events.sequence.times[1:-1], events.sequence.hitters, strict=True)
+    seed = tuple(hitter for _, hitter in sorted(hits))
+    if len(seed) <= max_impacts:
+        found = search_words(scenario, needs, (len(seed), pieces), rho, reserves, seed, lambda: clock.left / 2)
+        if found.words:
+            return RobustnessOptimum(len(seed), pieces, rho, ceiling, found.words, found.bound)
+    return maximise_robustness(scenario, needs, max_impacts, reserves, clock, fewest=len(seed))
+
+
 def _solve_point(model: Model, time_limit: float) -> np.ndarray:
     return solve_mixed_integer(model, time_limit).x
 
@@ -205,18 +262,22 @@ def _plan_events(
     for turn in TURNS:
         slower = replace(reserves, turn=turn * reserves.turn)
         forbidden: list[Word] = []
-        for _ in range(WORDS):
+        for word in optimum.words[:WORDS] or (None,) * WORDS:
             try:
                 with clock.stage("effort"):
-                    events = minimise_effort(scenario, needs, shape, optimum.rho, slower, forbidden, clock.left / 2)
+                    limit = clock.left / 2
+                    events = minimise_effort(scenario, needs, shape, optimum.rho, slower, forbidden, limit, word)
             except PlanningError as error:
                 failure = failure or error
-                break
+                if word is None:
+                    break
+                continue
             try:
                 return _finish(scenario, needs, optimum, events, slower, clock)
             except PlanningError as error:
                 failure = failure or error
-                forbidden.append(events.sequence.hitters)
+                if word is None:
+                    forbidden.append(events.sequence.hitters)
     assert failure is not None
     raise failure
 
@@ -242,7 +303,7 @@ def _finish(
         bound=optimum.bound,
         gap=optimum.bound - optimum.rho,
         effort=events.effort,
-        effort_bound=events.bound,
+        effort_bound=optimum.effort_bound if optimum.words else events.bound,
         impacts=impacts,
         robots=curves,
         objects={name: make_object_curve(sequence, name) for name in scenario.objects},
