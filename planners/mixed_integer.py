@@ -269,6 +269,7 @@ def _run_highs(model: Model, time_limit: float, relative_gap: float, nodes: int 
     for option in ("mip_feasibility_tolerance", "primal_feasibility_tolerance"):
         solver.setOptionValue(option, 1e-8)
     solver.setOptionValue("mip_rel_gap", relative_gap)
+    solver.setOptionValue("mip_allow_restart", False)  # these models are small: a restart costs more than it brings
     if nodes is not None:
         solver.setOptionValue("solve_relaxation", nodes == 0)
         solver.setOptionValue("mip_max_nodes", max(nodes, 1))
