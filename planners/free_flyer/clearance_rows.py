@@ -42,7 +42,8 @@ def solve_apart(
         add_clearance_rows(grid, scenario, reserves, [(*pair, piece) for pair in pairs for piece in range(grid.count)])
     while True:
         x = solve()
-        conflicts = find_conflicts(grid, scenario, reserves, x)
+        # Rows that are there already may be violated in an elastic model, or by round-off.
+        conflicts = [place for place in find_conflicts(grid, scenario, reserves, x) if place not in grid.apart]
         if not conflicts:
             return x
         add_clearance_rows(grid, scenario, reserves, conflicts)

@@ -258,7 +258,7 @@ def _plan_events(
 ) -> Plan:
     """Try sequences of robots in the order of their effort until one passes smoothing and the check."""
     failure: PlanningError | None = None
-    shape = optimum.impacts, optimum.pieces
+    shape, rho = (optimum.impacts, optimum.pieces), max(0.0, optimum.rho - reserves.interior)
     for turn in TURNS:
         slower = replace(reserves, turn=turn * reserves.turn)
         forbidden: list[Word] = []
@@ -266,14 +266,14 @@ def _plan_events(
             try:
                 with clock.stage("effort"):
                     limit = clock.left / 2
-                    events = minimise_effort(scenario, needs, shape, optimum.rho, slower, forbidden, limit, word)
+                    events = minimise_effort(scenario, needs, shape, rho, slower, forbidden, limit, word)
             except PlanningError as error:
                 failure = failure or error
                 if word is None:
                     break
                 continue
             try:
-                return _finish(scenario, needs, optimum, events, slower, clock)
+                return _finish(scenario, needs, optimum, rho, events, slower, clock)
             except PlanningError as error:
                 failure = failure or error
                 if word is None:
@@ -286,6 +286,7 @@ def _finish(
     scenario: FreeFlyerScenario,
     needs: tuple[Requirement, ...],
     optimum: RobustnessOptimum,
+    rho: float,
     events: EffortOptimum,
     reserves: Reserves,
     clock: Clock,
@@ -294,14 +295,14 @@ def _finish(
     sequence = events.sequence
     with clock.stage("smoothing"):
         impacts = compute_impacts(scenario, sequence)
-        curves = smooth_motions(scenario, sequence, impacts, needs, optimum.rho, reserves)
+        curves = smooth_motions(scenario, sequence, impacts, needs, rho, reserves)
     plan = Plan(
         scenario=scenario.name,
         objective="robustness",
         horizon=scenario.horizon,
-        robustness=optimum.rho,
+        robustness=rho,
         bound=optimum.bound,
-        gap=optimum.bound - optimum.rho,
+        gap=optimum.bound - rho,
         effort=events.effort,
         effort_bound=optimum.effort_bound if optimum.words else events.bound,
         impacts=impacts,
@@ -312,11 +313,11 @@ def _finish(
         validated=False,
     )
     with clock.stage("validation"):
-        rho = check_plan(scenario, plan)
-    gap = max(0.0, optimum.bound - rho) / max(1.0, abs(optimum.bound))
+        measured = check_plan(scenario, plan)
+    gap = max(0.0, optimum.bound - measured) / max(1.0, abs(optimum.bound))
     return replace(
         plan,
-        robustness=rho,
+        robustness=measured,
         gap=gap if gap > TOLERANCE else 0.0,
         solve_seconds=clock.elapsed,
         stage_seconds=dict(clock.stages),

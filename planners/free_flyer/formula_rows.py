@@ -26,12 +26,13 @@ def add_requirements(grid: EventGrid, needs: Sequence[Requirement], period: floa
     Source: Verhagen & Tumova, Eqs. (21), (22).
     """
     for need in needs:
-        if need.kind == "reach":
-            _add_reach_rows(grid, need, passing)
-        elif need.kind == "stay":
-            _add_stay_rows(grid, need, period)
-        else:
-            _add_avoid_rows(grid, need, period)
+        with grid.model.part(need.text, 100.0):
+            if need.kind == "reach":
+                _add_reach_rows(grid, need, passing)
+            elif need.kind == "stay":
+                _add_stay_rows(grid, need, period)
+            else:
+                _add_avoid_rows(grid, need, period)
 
 
 def _outside_window(grid: EventGrid, need: Requirement, piece: int, period: float) -> list[list[Affine | float]]:

@@ -23,6 +23,7 @@ class Reserves:
         clearance: distance kept between bodies beyond touching [m].
         wall: distance kept from walls and solid obstacles beyond touching [m].
         avoid: distance kept from areas to avoid beyond the robustness, where the optimum allows it [m].
+        interior: robustness given up for less effort [m].
 
     Source: speed, first, gap, last and avoid are about what served best in closed-loop trials of a prototype with
     restitution, mass, sensing, drift and actuation perturbed; the others are choices.
@@ -37,6 +38,7 @@ class Reserves:
     clearance: float = 0.2
     wall: float = 0.05
     avoid: float = 0.15
+    interior: float = 0.0
 
     def halved(self) -> Reserves:
         """Return half as much in hand, for tasks that leave no room for more."""

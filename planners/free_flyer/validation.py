@@ -57,7 +57,7 @@ def check_plan(scenario: FreeFlyerScenario, plan: Plan, tolerances: Tolerances =
     Source: Verhagen & Tumova, Eqs. (2), (6), (9).
     """
     count = round(scenario.horizon / scenario.control_period) * SUBSTEPS
-    times = np.arange(count + 1) * (scenario.control_period / SUBSTEPS)
+    times = np.linspace(0.0, scenario.horizon, count + 1)
     robots = {name: plan.robots[name].position(times) for name in scenario.robots}
     objects = {name: _simulate_object(scenario, plan, name, times, tolerances) for name in scenario.objects}
     _check_ends(scenario, plan, objects, tolerances)

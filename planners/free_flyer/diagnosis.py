@@ -1,0 +1,76 @@
+"""Why a scenario has no plan: the smallest relaxation that gives it one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners.errors import PlanningError
+from planners.free_flyer.clearance_rows import solve_apart
+from planners.free_flyer.event_grid import build_event_grid
+from planners.free_flyer.formula_rows import add_requirements
+from planners.free_flyer.requirement import Requirement
+from planners.free_flyer.reserves import Reserves
+from planners.mixed_integer import Affine, solve_mixed_integer
+
+GAP = 0.05  # to which the smallest relaxation is found
+NEGLIGIBLE = 1e-4  # [m]
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """Hold what to loosen.
+
+    Args:
+        part: conjunct of the formula, limit of a body, or distance of two.
+        amount: by how much [m]; of a speed: further than it goes on one leg.
+    """
+
+    part: str
+    amount: float
+
+    def __str__(self) -> str:
+        return f"'{self.part}' by {self.amount:.2g} m" + (" per leg" if self.part.startswith("speed") else "")
+
+
+def find_relaxation(
+    scenario: FreeFlyerScenario,
+    needs: Sequence[Requirement],
+    max_impacts: int,
+    reserves: Reserves,
+    time_limit: float,
+) -> tuple[Relaxation, ...]:
+    """Return the parts of a scenario that together need the least loosening for a plan to exist.
+
+    Every conjunct, speed limit and distance gets a slack variable; the sum of all is least. It is the least over
+    the numbers of impacts that the time limit admits.
+
+    Args:
+        scenario: without a plan.
+        needs: its requirements.
+        max_impacts: greatest number of impacts tried.
+        reserves: what the plan keeps in hand.
+        time_limit: wall time [s].
+
+    Returns:
+        What to loosen, most first; nothing if no relaxation was found, or none is needed.
+    """
+    best: dict[str, float] = {}
+    least = float("inf")
+    for impacts in range(max_impacts + 1):
+        try:
+            grid = build_event_grid(scenario, impacts, (0.0, 0.0), reserves, elastic=True)
+            add_requirements(grid, needs, scenario.control_period, passing=True)
+            model = grid.model
+            model.objective = sum(model.slacks.values(), Affine({}))
+            limit = time_limit / (max_impacts + 1)
+            x = solve_apart(grid, scenario, reserves, lambda: solve_mixed_integer(model, limit, GAP).x)  # noqa: B023
+        except PlanningError:
+            continue
+        total = model.objective.value(x)
+        if total < 0.9 * least:
+            least = total
+            best = {part: slack.value(x) for part, slack in model.slacks.items()}
+    found = [Relaxation(part, amount) for part, amount in best.items() if amount > NEGLIGIBLE]
+    return tuple(sorted(found, key=lambda relaxation: -relaxation.amount))
