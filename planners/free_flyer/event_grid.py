@@ -24,6 +24,8 @@ from planners.mixed_integer import Affine, Model
 AXES = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 # Directions an impulse is rounded to; the robot stands on the opposite side of the object.
 DIRECTIONS = np.concatenate([AXES, np.sqrt(0.5) * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])])
+# How far against a direction, or one within the 22.5 degrees it stands for, each of the four axes points at most.
+BACKWARD = np.cos(np.maximum(0.0, np.arccos(np.clip(-DIRECTIONS @ AXES.T, -1.0, 1.0)) - np.deg2rad(22.5)))
 # Half-angles of the cone round its direction that an impulse may fill: a throw from rest or a catch always
 # has a direction within 22.5 degrees; a turn needs room for the legs before and after.
 CONE_AT_REST, CONE_TURNING = np.tan(np.deg2rad([30.0, 60.0]))
@@ -207,8 +209,9 @@ def _refine(values: Sequence[Any], pieces: int) -> list[Any]:
 
 
 def _add_impact_rows(grid: EventGrid, scenario: FreeFlyerScenario, event: int) -> None:
-    """Say who hits what, from which side, and where it stands."""
+    """Say who hits what, from which side, and where it stands: inside the world at every true direction of a side."""
     model, hits, sides = grid.model, grid.hits[event - 1], grid.sides[event - 1]
+    edges = [scenario.world.upper[0], -scenario.world.lower[0], scenario.world.upper[1], -scenario.world.lower[1]]
     someone = sum(hits.values(), 0.0)
     if isinstance(someone, Affine):
         model.require_equal(someone - 1.0)
@@ -220,6 +223,9 @@ def _add_impact_rows(grid: EventGrid, scenario: FreeFlyerScenario, event: int) -
         for entry in miss:
             model.require(entry, unless=1.0 - hit)
             model.require(-entry, unless=1.0 - hit)
+        farthest = AXES @ grid.path(name)[event] + np.array(sides, dtype=object) @ BACKWARD * reach
+        for place, edge in zip(farthest, edges, strict=True):
+            model.require(place + scenario.robots[robot].radius - edge, unless=1.0 - hit)
 
 
 def _add_cone_rows(grid: EventGrid, event: int, name: str) -> None:
