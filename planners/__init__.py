@@ -15,17 +15,23 @@ if TYPE_CHECKING:
 
 __all__ = ["Infeasible", "PlanningError", "SolverFailed", "make_expert", "make_plan"]
 
-# Planner and expert of each domain, loaded with their solvers when first used.
-PLANNERS = {"free_flyer": ("planners.free_flyer.event_milp", "make_free_flyer_plan")}
+# Planners by objective and expert of each domain, loaded with their solvers when first used.
+PLANNERS = {
+    "free_flyer": {
+        "robustness": ("planners.free_flyer.event_milp", "make_free_flyer_plan"),
+        "impact_uncertainty": ("planners.free_flyer.impact_robust", "make_impact_robust_plan"),
+    }
+}
 EXPERTS = {"free_flyer": ("planners.free_flyer.expert", "FreeFlyerExpert")}
 
 
-def make_plan(scenario: str | Path | Scenario, **options: Any) -> Plan:
+def make_plan(scenario: str | Path | Scenario, objective: str = "robustness", **options: Any) -> Plan:
     """Plan a scenario as it is believed to be, and check the plan by an independent simulation.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario.
-        options: of the domain's planner (``objective``, ``max_impacts``, ``time_limit``).
+        objective: what to maximise; free flyers have "robustness" and "impact_uncertainty".
+        options: of the domain's planner (``max_impacts``, ``time_limit``, ``solver``).
 
     Returns:
         A validated Plan with its proven bound.
@@ -36,7 +42,10 @@ def make_plan(scenario: str | Path | Scenario, **options: Any) -> Plan:
         SolverFailed: a solver stopped early, or the plan failed the check.
     """
     loaded = load_scenario(scenario)
-    module, name = _of_domain(PLANNERS, loaded)
+    objectives = _of_domain(PLANNERS, loaded)
+    if objective not in objectives:
+        raise InputError(f"objective '{objective}' is unknown; {choices(objective, objectives)}")
+    module, name = objectives[objective]
     return getattr(import_module(module), name)(loaded.as_believed(), **options)
 
 
@@ -65,7 +74,7 @@ def make_expert(scenario: str | Path | Scenario, plan: Plan | None = None) -> An
     return getattr(import_module(module), name)(loaded.as_believed(), plan)
 
 
-def _of_domain(table: dict[str, tuple[str, str]], scenario: Scenario) -> tuple[str, str]:
+def _of_domain(table: dict[str, Any], scenario: Scenario) -> Any:
     if scenario.domain not in table:
         raise InputError(f"no expert for domain '{scenario.domain}'; {choices(scenario.domain, table)}")
     return table[scenario.domain]

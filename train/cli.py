@@ -26,6 +26,7 @@ from tyro.conf import Positional
 from impact_envs.errors import InputError
 from impact_envs.scenario import list_scenarios, load_scenario
 from planners.errors import PlanningError
+from train.planning import Plan, load_plan
 from train.printing import show
 
 EVALUATION_SEED = 2_000_000
@@ -59,61 +60,6 @@ class List:
 
 
 @dataclass
-class Plan:
-    """Plan a scenario, prove the plan's robustness and check it by simulation."""
-
-    scenario: Positional[str]
-    """Shipped name or TOML file."""
-    objective: Literal["robustness"] = "robustness"
-    """What to maximise."""
-    max_impacts: int = 6
-    """Most impacts a plan may have."""
-    time_limit: float = 60.0
-    """Limit of the solvers [s]."""
-    out: Path | None = None
-    """Write the plan here as JSON."""
-    csv: Path | None = None
-    """Write sampled trajectories into this folder, one CSV file per body."""
-    json: bool = False
-
-    def run(self) -> dict[str, Any]:
-        """Return robustness, bound, gap, impacts and times of the plan."""
-        from planners import make_plan
-
-        scenario = load_scenario(self.scenario)
-        for path in (self.out, self.csv):
-            _check_writable(path)
-        if self.csv and self.csv.is_file():
-            raise InputError(f"--csv {self.csv}: is a file; it takes a folder")
-        plan = make_plan(scenario, objective=self.objective, max_impacts=self.max_impacts, time_limit=self.time_limit)
-        if self.out:
-            plan.save(self.out)
-        if self.csv:
-            _write_samples(plan, scenario.control_period, self.csv)
-        return {
-            "scenario": scenario.name,
-            # Solvers stop within 1e-8 of the optimum; digits beyond the sixth say nothing.
-            "robustness": round(plan.robustness, 6),
-            "bound": round(plan.bound, 6),
-            "gap": round(plan.gap, 6),
-            "effort": plan.effort,
-            "effort_bound": plan.effort_bound,
-            "impacts": [
-                {
-                    "time": hit.time,
-                    "robot": hit.robot,
-                    "object": hit.object,
-                    "position": [float(x) for x in hit.position],
-                }
-                for hit in plan.impacts
-            ],
-            "solve_seconds": plan.solve_seconds,
-            "stage_seconds": plan.stage_seconds,
-            "validated": plan.validated,
-        }
-
-
-@dataclass
 class Run:
     """Run one episode."""
 
@@ -128,7 +74,7 @@ class Run:
     set: tuple[str, ...] = ()
     """Values to change, for example true.restitution=0.5."""
     plan: Path | None = None
-    """Execute this plan instead of planning."""
+    """Execute this plan instead of planning: a JSON file, or a folder of published CSV files."""
     render: str | None = None
     """human, or a file ending in .mp4, .gif or .png (the last frame)."""
     json: bool = False
@@ -145,7 +91,7 @@ class Run:
         if self.seed < 0:
             raise InputError(f"seed {self.seed} is negative; choices: 0, 1, 2, ...")
         film = _open_film(self.render)
-        policy = make_policy(self.policy, scenario, plan=_load_plan(self.plan))
+        policy = make_policy(self.policy, scenario, plan=load_plan(self.plan, scenario))
         env = parallel_env(scenario, render_mode="rgb_array" if film else self.render)
         env.curves |= _plan_curves(policy)
         every = scenario.steps if film and film.suffix == ".png" else max(1, round(0.1 / scenario.control_period))
@@ -354,11 +300,6 @@ def _one_line(box: str) -> str:
     return text if text.lower().startswith(title.lower()) or title == "Value error" else f"{title}: {text}"
 
 
-def _check_writable(path: Path | None) -> None:
-    if path is not None and not path.absolute().parent.is_dir():
-        raise InputError(f"cannot write {path}: folder {path.absolute().parent} does not exist")
-
-
 def _clear_last_demo(folder: Path, policies: Sequence[str]) -> None:
     """Forget the last demo's episodes: a demo shows the code as it is, so nothing is resumed."""
     if folder.exists() and not folder.is_dir():
@@ -396,12 +337,6 @@ def _open_film(render: str | None) -> Any:
     return Film(render, fps=30)
 
 
-def _load_plan(path: Path | None) -> Any:
-    from planners.plan import Plan as StoredPlan
-
-    return StoredPlan.load(path) if path else None
-
-
 def _plan_curves(policy: Any) -> dict[str, Any]:
     """Return the curves of the plan a policy follows, as polylines."""
     import numpy as np
@@ -412,19 +347,6 @@ def _plan_curves(policy: Any) -> dict[str, Any]:
     times = np.linspace(0.0, plan.horizon, 400)
     curves = plan.robots | plan.objects
     return {name: np.array([curve.position(t) for t in times]) for name, curve in curves.items()}
-
-
-def _write_samples(plan: Any, period: float, folder: Path) -> None:
-    import numpy as np
-    import pandas as pd
-
-    folder.mkdir(exist_ok=True)
-    times = np.arange(round(plan.horizon / period) + 1) * period
-    for name, curve in (plan.robots | plan.objects).items():
-        p = np.array([curve.position(t) for t in times])
-        v = np.array([curve.velocity(t) for t in times])
-        columns = {"t": times, "x": p[:, 0], "y": p[:, 1], "vx": v[:, 0], "vy": v[:, 1]}
-        pd.DataFrame(columns).to_csv(folder / f"{name}.csv", index=False)
 
 
 def _episode_summary(episode: Any, suite: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from impact_envs.errors import InputError, choices
+from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.clearance_rows import solve_apart
@@ -27,7 +27,6 @@ from planners.free_flyer.validation import check_plan
 from planners.mixed_integer import Model, solve_mixed_integer
 from planners.plan import Plan
 
-OBJECTIVES = ("robustness",)
 TOLERANCE = 1e-6  # [m]
 PIECES = (1, 2)  # per leg; two let robots go round corners
 HALVINGS = 2  # of the reserves, where a task leaves no room for them
@@ -90,7 +89,6 @@ class Clock:
 
 def make_free_flyer_plan(
     scenario: FreeFlyerScenario,
-    objective: str = "robustness",
     max_impacts: int | None = None,
     time_limit: float = 60.0,
     reserves: Reserves = Reserves(),  # noqa: B008 - frozen
@@ -101,7 +99,6 @@ def make_free_flyer_plan(
 
     Args:
         scenario: any numbers of robots and disc objects; only believed physics are read.
-        objective: "robustness".
         max_impacts: greatest number of impacts tried; as many as 6, and 3 for every further object without.
         time_limit: wall time for all stages [s].
         reserves: speed, time and distance kept in hand for the execution.
@@ -110,7 +107,7 @@ def make_free_flyer_plan(
         A plan that the independent simulation has confirmed.
 
     Raises:
-        InputError: unknown objective, bad numbers, or a scenario or formula of an unsupported form.
+        InputError: bad numbers, or a scenario or formula of an unsupported form.
         Infeasible: no plan within max_impacts, or none that can be smoothed.
         SolverFailed: a solver stopped early, or the plan failed the check.
 
@@ -118,7 +115,7 @@ def make_free_flyer_plan(
     """
     if max_impacts is None:
         max_impacts = 3 + 3 * len(scenario.objects)
-    _check_arguments(scenario, objective, max_impacts, time_limit)
+    _check_arguments(scenario, max_impacts, time_limit)
     clock = Clock(time_limit)
     needs = read_requirements(scenario, reserves.wall)
     failure: PlanningError | None = None
@@ -325,9 +322,7 @@ def _finish(
     )
 
 
-def _check_arguments(scenario: FreeFlyerScenario, objective: str, max_impacts: int, time_limit: float) -> None:
-    if objective not in OBJECTIVES:
-        raise InputError(f"objective '{objective}' is unknown; {choices(objective, OBJECTIVES)}")
+def _check_arguments(scenario: FreeFlyerScenario, max_impacts: int, time_limit: float) -> None:
     if max_impacts < 0:
         raise InputError(f"max_impacts is {max_impacts}, it must not be negative")
     if not time_limit > 0:

@@ -209,7 +209,7 @@ def test_unreachable_goals_are_infeasible(values: dict) -> None:
     assert error.value.remedy
 
 
-@pytest.mark.parametrize("options", [{"objective": "speed"}, {"max_impacts": -1}, {"time_limit": 0.0}])
+@pytest.mark.parametrize("options", [{"max_impacts": -1}, {"time_limit": 0.0}])
 def test_bad_options_are_named(options: dict) -> None:
     with pytest.raises(InputError, match=next(iter(options))):
         make_plan("throw_and_catch", **options)
