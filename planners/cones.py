@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import clarabel
 import numpy as np
 from scipy import sparse
@@ -10,7 +12,7 @@ from planners.errors import Infeasible, SolverFailed
 from planners.mixed_integer import Affine, Model
 
 
-def solve_cones(model: Model, integers: np.ndarray, shares: list[tuple[Affine, Affine, Affine]]) -> np.ndarray:
+def solve_cones(model: Model, integers: np.ndarray, shares: Sequence[Sequence[Affine]]) -> np.ndarray:
     """Minimise the model with its integers held fixed, under e >= d^2 / t for each share (e, d, t).
 
     The share is the second-order cone |((e - t) / 2, d)| <= (e + t) / 2.

@@ -17,10 +17,13 @@ from planners.free_flyer.events import EventSequence, Word, own_events
 from planners.free_flyer.formula_rows import add_requirements
 from planners.free_flyer.requirement import Requirement
 from planners.free_flyer.reserves import Reserves
-from planners.mixed_integer import Affine, Model, evaluate, solve_mixed_integer
+from planners.mixed_integer import Affine, Model, compute_lower_bound, evaluate, solve_mixed_integer
 
 TANGENTS = 12  # perspective cuts per sign
 RELATIVE_GAP = 0.01
+COARSE_GAP = 0.05
+WEIGHTS = (1.0, 3.0, 10.0)  # of objects' effort while flights are still bent; the first one that lets them straighten
+Share = tuple[str, Affine, Affine, Affine]  # body, effort e >= D^2 / T, move D, duration T of a piece along an axis
 ROUNDS = 4  # of outer approximation, at most
 # Reach areas at events only; keep the reserve from areas to avoid. In the order they are given up.
 WISHES = ((True, True), (True, False), (False, True), (False, False))
@@ -75,10 +78,10 @@ def minimise_effort(
         SolverFailed: out of time.
     """
     failure: Infeasible | None = None
-    for wish in WISHES:
+    for wish, weight in itertools.product(WISHES, WEIGHTS if len(scenario.objects) > 1 else WEIGHTS[:1]):
         try:
             grid = build_effort_grid(scenario, needs, shape, rho, reserves, wish, word)
-            return _EffortProblem(scenario, grid, reserves, forbidden, time_limit).solve()
+            return EffortProblem(scenario, grid, reserves, time_limit, forbidden).solve(weight)
         except Infeasible as error:
             failure = error
     assert failure is not None
@@ -115,28 +118,54 @@ def build_effort_grid(
     return grid
 
 
-class _EffortProblem:
-    """A grid with its effort as tangent planes, of which solutions add more."""
+class EffortProblem:
+    """A grid with its effort as tangent planes, of which solutions add more.
+
+    Args:
+        scenario: what to plan.
+        grid: gets the effort, and distances where they are needed.
+        reserves: what the plan keeps in hand.
+        time_limit: of each mixed-integer solution [s].
+        forbidden: words that are excluded.
+        tangents: at first, per sign.
+        rounds: of outer approximation, at most.
+    """
 
     def __init__(
         self,
         scenario: FreeFlyerScenario,
         grid: EventGrid,
         reserves: Reserves,
-        forbidden: Sequence[Word],
         time_limit: float,
+        forbidden: Sequence[Word] = (),
+        tangents: int = TANGENTS,
+        rounds: int = ROUNDS,
     ) -> None:
-        self.scenario, self.grid, self.reserves, self.time_limit = scenario, grid, reserves, time_limit
-        self.shares = add_effort(grid, TANGENTS)
-        self.bound = 0.0
+        self.scenario, self.grid, self.reserves = scenario, grid, reserves
+        self.time_limit, self.rounds, self.bound = time_limit, rounds, 0.0
+        self.shares = _add_effort(grid, tangents)
         for excluded in forbidden:
             same = [grid.hits[k][pair] for k, pair in enumerate(excluded)]
             grid.model.require(sum(same, Affine({})) - (len(same) - 1.0))
 
-    def solve(self) -> EffortOptimum:
-        """Return the best of some rounds of outer approximation, each of which tightens the bound."""
+    def relax(self, nodes: int = 0) -> tuple[float, np.ndarray | None]:
+        """Return a lower bound of the effort, without the distances not added yet (see `compute_lower_bound`)."""
+        return compute_lower_bound(self.grid.model, self.time_limit, nodes)
+
+    def solve(self, weight: float = 1.0) -> EffortOptimum:
+        """Return the best of some rounds of outer approximation, each of which tightens the bound.
+
+        Args:
+            weight: of the objects' effort where several objects' flights have to be straightened.
+
+        Raises:
+            Infeasible: no such events.
+            SolverFailed: out of time.
+        """
+        if len(self.grid.objects) > 1:
+            self._straighten(weight)
         best, effort = None, np.inf
-        for _ in range(ROUNDS):
+        for _ in range(self.rounds):
             x = solve_apart(self.grid, self.scenario, self.reserves, self._solve_round)
             found = _compute_effort(self.shares, x)
             if found < effort - 1e-9:
@@ -145,25 +174,30 @@ class _EffortProblem:
                 break
             self._add_tangents(x)
         assert best is not None
-        bound = self.bound
-        if len(self.grid.objects) > 1:
-            best = self._straighten(best)
         sequence = _read_sequence(self.scenario, self.grid, best)
-        return EffortOptimum(sequence, _measure_effort(sequence), bound)
+        return EffortOptimum(sequence, _measure_effort(sequence), self.bound)
 
     def _solve_round(self) -> np.ndarray:
         relaxed = solve_mixed_integer(self.grid.model, self.time_limit, RELATIVE_GAP / 2)
         self.bound = max(self.bound, relaxed.bound)
         self._relaxed = relaxed.x
-        return solve_cones(self.grid.model, relaxed.x, self.shares)
+        return solve_cones(self.grid.model, relaxed.x, [share for _, *share in self.shares])
 
-    def _straighten(self, x: np.ndarray) -> np.ndarray:
-        """Solve again with objects straight and uniform between their own events.
+    def _straighten(self, weight: float) -> None:
+        """Keep objects straight and uniform between their own events, in the word of the best point without that.
 
-        Where another object's event divides a flight, the shares of time and way before it are both what the point
-        has: rows are then linear, and all times and places stay free.
+        Where another object's event divides a flight, the shares of time and way before it are both what that point
+        has: rows are then linear, and all times and places stay free. Weighing the objects' effort more makes that
+        point nearly straight itself. The bound holds for these shares only.
         """
         grid, model = self.grid, self.grid.model
+        effort = model.objective
+        weights = [weight if name in grid.objects else 1.0 for name, *_ in self.shares]
+        model.objective = sum((share * w for (_, share, *_), w in zip(self.shares, weights, strict=True)), Affine({}))
+        x = solve_apart(
+            grid, self.scenario, self.reserves, lambda: solve_mixed_integer(model, self.time_limit, COARSE_GAP).x
+        )
+        model.objective = effort
         for hits in grid.hits:
             for hit in hits.values():
                 _fix(model, hit, round(float(evaluate(hit, x))))
@@ -178,27 +212,18 @@ class _EffortProblem:
                         miss = values[k] - values[a] - (values[b] - values[a]) * share
                         if isinstance(miss, Affine):
                             model.require_equal(miss)
-        return solve_apart(grid, self.scenario, self.reserves, self._solve_round)
 
     def _add_tangents(self, x: np.ndarray) -> None:
         """Add the tangent planes at a point and at the relaxed one, and their mirror images."""
-        for effort, move, duration in self.shares:
+        for _, effort, move, duration in self.shares:
             speeds = {round(abs(move.value(point)) / duration.value(point), 6) for point in (x, self._relaxed)}
             for speed in speeds - {0.0}:
                 for slope in (speed, -speed):
                     self.grid.model.require(move * (2 * slope) - duration * slope**2 - effort)
 
 
-def add_effort(grid: EventGrid, tangents: int) -> list[tuple[Affine, Affine, Affine]]:
-    """Add e >= D^2 / T for every moving piece and axis as tangent planes; the objective is the sum of e.
-
-    Args:
-        grid: gets variables, rows and the objective.
-        tangents: per sign.
-
-    Returns:
-        Expressions (e, D, T) of every piece and axis.
-    """
+def _add_effort(grid: EventGrid, tangents: int) -> list[Share]:
+    """Add e >= D^2 / T for every moving piece and axis as tangent planes; the objective is the sum of e."""
     shares = []
     total = Affine({})
     for name, knots in grid.knots.items():
@@ -213,7 +238,7 @@ def add_effort(grid: EventGrid, tangents: int) -> list[tuple[Affine, Affine, Aff
                 for q in fastest * np.arange(1, tangents + 1) / tangents:
                     for slope in (q, -q):
                         grid.model.require(move * (2 * slope) - duration * slope**2 - effort)
-                shares.append((effort, move, duration))
+                shares.append((name, effort, move, duration))
                 total = total + effort
     grid.model.objective = total
     return shares
@@ -247,8 +272,8 @@ def _fix(model: Model, variable: Affine | float, value: float) -> None:
         model.lower[index] = model.upper[index] = value
 
 
-def _compute_effort(shares: Sequence[tuple[Affine, Affine, Affine]], x: np.ndarray) -> float:
-    return sum(move.value(x) ** 2 / duration.value(x) for _, move, duration in shares)
+def _compute_effort(shares: Sequence[Share], x: np.ndarray) -> float:
+    return sum(move.value(x) ** 2 / duration.value(x) for *_, move, duration in shares)
 
 
 def _measure_effort(sequence: EventSequence) -> float:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import Always, And, Formula
 from planners.errors import Infeasible, PlanningError
-from planners.free_flyer.clearance_rows import solve_apart
-from planners.free_flyer.effort import WISHES, add_effort, build_effort_grid, read_word
+from planners.free_flyer.effort import WEIGHTS, WISHES, EffortProblem, build_effort_grid, read_word
+from planners.free_flyer.event_grid import EventGrid
 from planners.free_flyer.events import Word
 from planners.free_flyer.requirement import Requirement
 from planners.free_flyer.reserves import Reserves
-from planners.mixed_integer import compute_lower_bound, solve_mixed_integer
 
 TANGENTS = 5  # perspective cuts per sign while words are compared
 GAP = 0.01  # to which words are compared
@@ -95,17 +95,36 @@ def search_words(
         The words with plans; none if the search found none.
     """
     bound, found = _bound_effort(scenario, needs, shape, rho, reserves, time_limit())
-    efforts: dict[Word, float] = {}
-
-    def measure(word: Word, best: float) -> float:
-        if word not in efforts:
-            efforts[word] = _measure_word(scenario, needs, shape, rho, reserves, word, best, time_limit())
-        return efforts[word]
-
     starts = [seed] if found is None else [seed, found]
-    best = min(starts, key=lambda word: measure(word, math.inf))
+    efforts: dict[Word, float] = {}
+    for wish in WISHES:
+
+        def measure(word: Word, best: float, wish: tuple[bool, bool] = wish) -> float:
+            if word not in efforts:
+                grid = partial(build_effort_grid, scenario, needs, shape, rho, reserves, wish, word)
+                efforts[word] = _measure_word(scenario, grid, reserves, best, time_limit())
+            return efforts[word]
+
+        best = min(starts, key=lambda word: measure(word, math.inf))
+        _descend(scenario, best, bound, efforts, measure, time_limit)
+        if min(efforts.values()) < math.inf:
+            break
+        efforts.clear()
+    ranked = sorted((effort, word) for word, effort in efforts.items() if math.isfinite(effort))
+    return WordSearch(tuple(word for _, word in ranked), bound)
+
+
+def _descend(
+    scenario: FreeFlyerScenario,
+    best: Word,
+    bound: float,
+    efforts: Mapping[Word, float],
+    measure: Callable[[Word, float], float],
+    time_limit: Callable[[], float],
+) -> None:
+    """Step from word to better word until there is none; without any that has a plan, through all neighbours."""
     improving = True
-    while improving and math.isfinite(efforts[best]) and efforts[best] > (1.0 + GAP) * bound:
+    while improving and efforts[best] > (1.0 + GAP) * bound:
         improving = False
         for word in _neighbours(scenario, best):
             if len(efforts) >= EVALUATIONS or time_limit() <= 0.0:
@@ -113,8 +132,6 @@ def search_words(
             if measure(word, efforts[best]) < (1.0 - GAP) * efforts[best]:
                 best, improving = word, True
                 break
-    ranked = sorted((effort, word) for word, effort in efforts.items() if math.isfinite(effort))
-    return WordSearch(tuple(word for _, word in ranked), bound)
 
 
 def _neighbours(scenario: FreeFlyerScenario, word: Word) -> Iterator[Word]:
@@ -138,35 +155,21 @@ def _bound_effort(
     """Return a bound of the effort over all words, without distances, and the best word on the way."""
     try:
         grid = build_effort_grid(scenario, needs, shape, rho, reserves, WISHES[-1])
-        add_effort(grid, 2 * TANGENTS)
         nodes = NODES if sum(len(hits) for hits in grid.hits) <= FEW else 0
-        bound, point = compute_lower_bound(grid.model, time_limit, nodes)
+        bound, point = EffortProblem(scenario, grid, reserves, time_limit, tangents=2 * TANGENTS).relax(nodes)
     except Infeasible:
         return math.inf, None
     return max(bound, 0.0), read_word(grid, point) if nodes and point is not None else None
 
 
 def _measure_word(
-    scenario: FreeFlyerScenario,
-    needs: Sequence[Requirement],
-    shape: tuple[int, int],
-    rho: float,
-    reserves: Reserves,
-    word: Word,
-    best: float,
-    time_limit: float,
+    scenario: FreeFlyerScenario, build: Callable[[], EventGrid], reserves: Reserves, best: float, time_limit: float
 ) -> float:
-    """Return the least effort of a word; infinite if it has no plan, or none better than the best."""
-    for wish in WISHES:
-        try:
-            grid = build_effort_grid(scenario, needs, shape, rho, reserves, wish, word)
-            add_effort(grid, TANGENTS)
-            if compute_lower_bound(grid.model, time_limit, 0)[0] >= (1.0 - GAP) * best:
-                return math.inf
-            x = solve_apart(grid, scenario, reserves, lambda: solve_mixed_integer(grid.model, time_limit, GAP).x)  # noqa: B023
-        except Infeasible:
-            continue
-        except PlanningError:
+    """Return the least effort of a word's grid; infinite if it has no plan, or none better than the best."""
+    try:
+        problem = EffortProblem(scenario, build(), reserves, time_limit, tangents=TANGENTS, rounds=1)
+        if problem.relax()[0] >= (1.0 - GAP) * best:
             return math.inf
-        return grid.model.objective.value(x)
-    return math.inf
+        return problem.solve(WEIGHTS[1]).effort
+    except PlanningError:
+        return math.inf
