@@ -128,7 +128,9 @@ def _wanted(
     # A diagonal contact counts as clear of both its axes.
     nearest, far = touching * np.sqrt(0.5) - COARSE, touching + reserves.clearance
     if not isinstance(apart, Affine):
-        return min(max(float(apart), nearest), far)
+        # Elsewhere, bodies clear of each other along another axis might meet while they come clear along this one.
+        widest = float(np.abs(np.array(grid.knots[pair[0]][knot] - grid.knots[pair[1]][knot], dtype=float)).max())
+        return min(max(float(apart), touching if widest >= touching else nearest), far)
     if knot == grid.count:
         far = touching + reserves.wall
     if isinstance(first, Object):
