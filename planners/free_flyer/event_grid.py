@@ -29,6 +29,7 @@ BACKWARD = np.cos(np.maximum(0.0, np.arccos(np.clip(-DIRECTIONS @ AXES.T, -1.0, 
 # Half-angles of the cone round its direction that an impulse may fill: a throw from rest or a catch always
 # has a direction within 22.5 degrees; a turn needs room for the legs before and after.
 CONE_AT_REST, CONE_TURNING = np.tan(np.deg2rad([30.0, 60.0]))
+RUN_UP = 0.15  # room behind a robot that hits [m]
 LEAST_PUSH = 0.1  # of the object's displacements after and before an impact along its direction [m]
 Point = np.ndarray  # shape (2,), of numbers or expressions [m]
 
@@ -225,7 +226,7 @@ def _add_impact_rows(grid: EventGrid, scenario: FreeFlyerScenario, event: int) -
             model.require(-entry, unless=1.0 - hit)
         farthest = AXES @ grid.path(name)[event] + np.array(sides, dtype=object) @ BACKWARD * reach
         for place, edge in zip(farthest, edges, strict=True):
-            model.require(place + scenario.robots[robot].radius - edge, unless=1.0 - hit)
+            model.require(place + scenario.robots[robot].radius + RUN_UP - edge, unless=1.0 - hit)
 
 
 def _add_cone_rows(grid: EventGrid, event: int, name: str) -> None:
