@@ -17,7 +17,8 @@ from planners.free_flyer.events import EventSequence, Word, own_events
 from planners.free_flyer.formula_rows import add_requirements
 from planners.free_flyer.requirement import Requirement
 from planners.free_flyer.reserves import Reserves
-from planners.mixed_integer import Affine, Model, compute_lower_bound, evaluate, solve_mixed_integer
+from planners.mixed_integer import Affine, Model, compute_lower_bound, evaluate
+from planners.solvers import solve
 
 TANGENTS = 12  # perspective cuts per sign
 RELATIVE_GAP = 0.01
@@ -53,6 +54,7 @@ def minimise_effort(
     forbidden: Sequence[Word],
     time_limit: float,
     word: Word | None = None,
+    solver: str = "highs",
 ) -> EffortOptimum:
     r"""Return the events of least effort that keep a robustness.
 
@@ -69,6 +71,7 @@ def minimise_effort(
         forbidden: words that are excluded.
         time_limit: of each mixed-integer solution [s].
         word: who hits what; open without.
+        solver: of mixed-integer models.
 
     Returns:
         The events, their effort and its bound under these wishes.
@@ -81,7 +84,7 @@ def minimise_effort(
     for wish, weight in itertools.product(WISHES, WEIGHTS if len(scenario.objects) > 1 else WEIGHTS[:1]):
         try:
             grid = build_effort_grid(scenario, needs, shape, rho, reserves, wish, word)
-            return EffortProblem(scenario, grid, reserves, time_limit, forbidden).solve(weight)
+            return EffortProblem(scenario, grid, reserves, time_limit, solver, forbidden).solve(weight)
         except Infeasible as error:
             failure = error
     assert failure is not None
@@ -126,6 +129,7 @@ class EffortProblem:
         grid: gets the effort, and distances where they are needed.
         reserves: what the plan keeps in hand.
         time_limit: of each mixed-integer solution [s].
+        solver: of mixed-integer models.
         forbidden: words that are excluded.
         tangents: at first, per sign.
         rounds: of outer approximation, at most.
@@ -137,12 +141,13 @@ class EffortProblem:
         grid: EventGrid,
         reserves: Reserves,
         time_limit: float,
+        solver: str = "highs",
         forbidden: Sequence[Word] = (),
         tangents: int = TANGENTS,
         rounds: int = ROUNDS,
     ) -> None:
         self.scenario, self.grid, self.reserves = scenario, grid, reserves
-        self.time_limit, self.rounds, self.bound = time_limit, rounds, 0.0
+        self.time_limit, self.solver, self.rounds, self.bound = time_limit, solver, rounds, 0.0
         self.shares = _add_effort(grid, tangents)
         for excluded in forbidden:
             same = [grid.hits[k][pair] for k, pair in enumerate(excluded)]
@@ -178,7 +183,7 @@ class EffortProblem:
         return EffortOptimum(sequence, _measure_effort(sequence), self.bound)
 
     def _solve_round(self) -> np.ndarray:
-        relaxed = solve_mixed_integer(self.grid.model, self.time_limit, RELATIVE_GAP / 2)
+        relaxed = solve(self.grid.model, self.time_limit, RELATIVE_GAP / 2, self.solver)
         self.bound = max(self.bound, relaxed.bound)
         self._relaxed = relaxed.x
         return solve_cones(self.grid.model, relaxed.x, [share for _, *share in self.shares])
@@ -195,7 +200,7 @@ class EffortProblem:
         weights = [weight if name in grid.objects else 1.0 for name, *_ in self.shares]
         model.objective = sum((share * w for (_, share, *_), w in zip(self.shares, weights, strict=True)), Affine({}))
         x = solve_apart(
-            grid, self.scenario, self.reserves, lambda: solve_mixed_integer(model, self.time_limit, COARSE_GAP).x
+            grid, self.scenario, self.reserves, lambda: solve(model, self.time_limit, COARSE_GAP, self.solver).x
         )
         model.objective = effort
         for hits in grid.hits:

@@ -24,8 +24,9 @@ from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.sequence_search import restrict_to_object, search_words
 from planners.free_flyer.smoothing import smooth_motions
 from planners.free_flyer.validation import check_plan
-from planners.mixed_integer import Model, solve_mixed_integer
+from planners.mixed_integer import Model
 from planners.plan import Plan
+from planners.solvers import check_solver, solve
 
 TOLERANCE = 1e-6  # [m]
 PIECES = (1, 2)  # per leg; two let robots go round corners
@@ -56,14 +57,16 @@ class RobustnessOptimum:
 
 
 @dataclass
-class Clock:
-    """Measure stages, and what is left of a time limit.
+class Budget:
+    """Hold what planning may use, and measure what its stages took.
 
     Args:
         limit: wall time for everything [s].
+        solver: of mixed-integer models.
     """
 
     limit: float
+    solver: str = "highs"
     start: float = field(default_factory=time.perf_counter)
     stages: dict[str, float] = field(default_factory=dict)
 
@@ -78,7 +81,7 @@ class Clock:
 
     @property
     def elapsed(self) -> float:
-        """Return the time since the clock was made [s]."""
+        """Return the time since the budget was made [s]."""
         return time.perf_counter() - self.start
 
     @property
@@ -91,6 +94,7 @@ def make_free_flyer_plan(
     scenario: FreeFlyerScenario,
     max_impacts: int | None = None,
     time_limit: float = 60.0,
+    solver: str = "highs",
     reserves: Reserves = Reserves(),  # noqa: B008 - frozen
 ) -> Plan:
     """Plan by lexicographic optimisation: robustness, number of impacts, effort; then smooth and check.
@@ -101,6 +105,7 @@ def make_free_flyer_plan(
         scenario: any numbers of robots and disc objects; only believed physics are read.
         max_impacts: greatest number of impacts tried; as many as 6, and 3 for every further object without.
         time_limit: wall time for all stages [s].
+        solver: "highs", or one of `planners.solvers.SOLVERS` that is installed.
         reserves: speed, time and distance kept in hand for the execution.
 
     Returns:
@@ -116,18 +121,19 @@ def make_free_flyer_plan(
     if max_impacts is None:
         max_impacts = 3 + 3 * len(scenario.objects)
     _check_arguments(scenario, max_impacts, time_limit)
-    clock = Clock(time_limit)
+    check_solver(solver)
+    budget = Budget(time_limit, solver)
     needs = read_requirements(scenario, reserves.wall)
     failure: PlanningError | None = None
     for _ in range(HALVINGS + 1):
         try:
-            with clock.stage("robustness"):
+            with budget.stage("robustness"):
                 search = maximise_robustness if len(scenario.objects) == 1 else maximise_jointly
-                optimum = search(scenario, needs, max_impacts, reserves, clock)
-            return _plan_events(scenario, needs, optimum, reserves, clock)
+                optimum = search(scenario, needs, max_impacts, reserves, budget)
+            return _plan_events(scenario, needs, optimum, reserves, budget)
         except PlanningError as error:
             failure = failure or error
-        if clock.left <= 0.0:
+        if budget.left <= 0.0:
             break
         reserves = reserves.halved()
     assert failure is not None
@@ -139,7 +145,7 @@ def maximise_robustness(
     needs: Sequence[Requirement],
     max_impacts: int,
     reserves: Reserves,
-    clock: Clock,
+    budget: Budget,
     fewest: int = 0,
 ) -> RobustnessOptimum:
     """Return the greatest robustness and the fewest impacts that attain it (stage A).
@@ -153,7 +159,7 @@ def maximise_robustness(
         needs: its requirements.
         max_impacts: greatest number of impacts tried.
         reserves: what the plan keeps in hand.
-        clock: the time limit.
+        budget: time and solver.
         fewest: number of impacts to begin with.
 
     Returns:
@@ -177,8 +183,10 @@ def maximise_robustness(
             add_requirements(grid, needs, scenario.control_period, passing=True)
             grid.model.objective = -grid.rho
             # Once there is a plan, looking for a more robust one with more impacts must leave time to finish it.
-            limit = clock.left if best is None else clock.limit / 4 - clock.elapsed
-            rho = grid.rho.value(solve_apart(grid, scenario, reserves, partial(_solve_point, grid.model, limit)))
+            limit = budget.left if best is None else budget.limit / 4 - budget.elapsed
+            rho = grid.rho.value(
+                solve_apart(grid, scenario, reserves, partial(_solve_point, grid.model, limit, budget.solver))
+            )
         except Infeasible:
             continue
         except SolverFailed:
@@ -200,7 +208,7 @@ def maximise_jointly(
     needs: Sequence[Requirement],
     max_impacts: int,
     reserves: Reserves,
-    clock: Clock,
+    budget: Budget,
 ) -> RobustnessOptimum:
     """Return the optimum for several objects, from those of each object alone.
 
@@ -212,7 +220,7 @@ def maximise_jointly(
         needs: its requirements.
         max_impacts: greatest number of impacts tried.
         reserves: what the plan keeps in hand.
-        clock: the time limit.
+        budget: time and solver.
 
     Returns:
         The optimum.
@@ -229,21 +237,23 @@ def maximise_jointly(
         if alone is None:
             continue
         demands = read_requirements(alone, reserves.wall)
-        optimum = maximise_robustness(alone, demands, max_impacts, reserves, clock)
+        optimum = maximise_robustness(alone, demands, max_impacts, reserves, budget)
         rho, pieces = min(rho, optimum.rho), max(pieces, optimum.pieces)
         shape = optimum.impacts, optimum.pieces
-        events = minimise_effort(alone, demands, shape, optimum.rho, reserves, [], clock.left)
+        events = minimise_effort(alone, demands, shape, optimum.rho, reserves, [], budget.left, solver=budget.solver)
         hits += zip(events.sequence.times[1:-1], events.sequence.hitters, strict=True)
     seed = tuple(hitter for _, hitter in sorted(hits))
     if len(seed) <= max_impacts:
-        found = search_words(scenario, needs, (len(seed), pieces), rho, reserves, seed, lambda: clock.left / 2)
+        found = search_words(
+            scenario, needs, (len(seed), pieces), rho, reserves, seed, lambda: budget.left / 2, budget.solver
+        )
         if found.words:
             return RobustnessOptimum(len(seed), pieces, rho, ceiling, found.words, found.bound)
-    return maximise_robustness(scenario, needs, max_impacts, reserves, clock, fewest=len(seed))
+    return maximise_robustness(scenario, needs, max_impacts, reserves, budget, fewest=len(seed))
 
 
-def _solve_point(model: Model, time_limit: float) -> np.ndarray:
-    return solve_mixed_integer(model, time_limit).x
+def _solve_point(model: Model, time_limit: float, solver: str) -> np.ndarray:
+    return solve(model, time_limit, solver=solver).x
 
 
 def _plan_events(
@@ -251,7 +261,7 @@ def _plan_events(
     needs: tuple[Requirement, ...],
     optimum: RobustnessOptimum,
     reserves: Reserves,
-    clock: Clock,
+    budget: Budget,
 ) -> Plan:
     """Try sequences of robots in the order of their effort until one passes smoothing and the check."""
     failure: PlanningError | None = None
@@ -261,16 +271,16 @@ def _plan_events(
         forbidden: list[Word] = []
         for word in optimum.words[:WORDS] or (None,) * WORDS:
             try:
-                with clock.stage("effort"):
-                    limit = clock.left / 2
-                    events = minimise_effort(scenario, needs, shape, rho, slower, forbidden, limit, word)
+                with budget.stage("effort"):
+                    limit = budget.left / 2
+                    events = minimise_effort(scenario, needs, shape, rho, slower, forbidden, limit, word, budget.solver)
             except PlanningError as error:
                 failure = failure or error
                 if word is None:
                     break
                 continue
             try:
-                return _finish(scenario, needs, optimum, rho, events, slower, clock)
+                return _finish(scenario, needs, optimum, rho, events, slower, budget)
             except PlanningError as error:
                 failure = failure or error
                 if word is None:
@@ -286,11 +296,11 @@ def _finish(
     rho: float,
     events: EffortOptimum,
     reserves: Reserves,
-    clock: Clock,
+    budget: Budget,
 ) -> Plan:
     """Smooth the motions, check the plan, and put what the independent simulation measured into it."""
     sequence = events.sequence
-    with clock.stage("smoothing"):
+    with budget.stage("smoothing"):
         impacts = compute_impacts(scenario, sequence)
         curves = smooth_motions(scenario, sequence, impacts, needs, rho, reserves)
     plan = Plan(
@@ -309,15 +319,15 @@ def _finish(
         stage_seconds={},
         validated=False,
     )
-    with clock.stage("validation"):
+    with budget.stage("validation"):
         measured = check_plan(scenario, plan)
     gap = max(0.0, optimum.bound - measured) / max(1.0, abs(optimum.bound))
     return replace(
         plan,
         robustness=measured,
         gap=gap if gap > TOLERANCE else 0.0,
-        solve_seconds=clock.elapsed,
-        stage_seconds=dict(clock.stages),
+        solve_seconds=budget.elapsed,
+        stage_seconds=dict(budget.stages),
         validated=True,
     )
 

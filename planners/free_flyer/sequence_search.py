@@ -74,6 +74,7 @@ def search_words(
     reserves: Reserves,
     seed: Word,
     time_limit: Callable[[], float],
+    solver: str = "highs",
 ) -> WordSearch:
     """Search for the words of least effort that keep a robustness.
 
@@ -90,6 +91,7 @@ def search_words(
         reserves: what the plan keeps in hand.
         seed: word to start from.
         time_limit: returns the time left [s].
+        solver: of mixed-integer models.
 
     Returns:
         The words with plans; none if the search found none.
@@ -102,7 +104,7 @@ def search_words(
         def measure(word: Word, best: float, wish: tuple[bool, bool] = wish) -> float:
             if word not in efforts:
                 grid = partial(build_effort_grid, scenario, needs, shape, rho, reserves, wish, word)
-                efforts[word] = _measure_word(scenario, grid, reserves, best, time_limit())
+                efforts[word] = _measure_word(scenario, grid, reserves, best, time_limit(), solver)
             return efforts[word]
 
         best = min(starts, key=lambda word: measure(word, math.inf))
@@ -163,11 +165,16 @@ def _bound_effort(
 
 
 def _measure_word(
-    scenario: FreeFlyerScenario, build: Callable[[], EventGrid], reserves: Reserves, best: float, time_limit: float
+    scenario: FreeFlyerScenario,
+    build: Callable[[], EventGrid],
+    reserves: Reserves,
+    best: float,
+    time_limit: float,
+    solver: str,
 ) -> float:
     """Return the least effort of a word's grid; infinite if it has no plan, or none better than the best."""
     try:
-        problem = EffortProblem(scenario, build(), reserves, time_limit, tangents=TANGENTS, rounds=1)
+        problem = EffortProblem(scenario, build(), reserves, time_limit, solver, tangents=TANGENTS, rounds=1)
         if problem.relax()[0] >= (1.0 - GAP) * best:
             return math.inf
         return problem.solve(WEIGHTS[1]).effort
