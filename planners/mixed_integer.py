@@ -155,9 +155,10 @@ class Model:
         Raises:
             Infeasible: the row cannot hold and nothing relaxes it.
         """
-        self._require(self._loosened(expression), unless)
+        self._require(self.loosened(expression), unless)
 
-    def _loosened(self, expression: Affine | float) -> Affine | float:
+    def loosened(self, expression: Affine | float) -> Affine | float:
+        """Return the expression as `require` bounds it: in an elastic model less the slack of the current part."""
         return expression if self._slack is None else expression - self._slack
 
     def _require(self, expression: Affine | float, unless: Affine | float) -> None:
@@ -182,7 +183,7 @@ class Model:
             Infeasible: the bounds exclude every alternative.
         """
         possible = []
-        for rows in [[self._loosened(row) for row in rows] for rows in alternatives]:
+        for rows in [[self.loosened(row) for row in rows] for rows in alternatives]:
             limits = [self.limits(row) for row in rows]
             if all(high <= 1e-9 for _, high in limits):
                 return
@@ -195,7 +196,7 @@ class Model:
                 self._require(row, 0.0)
             return
         chosen = [self.binary() for _ in possible]
-        self.require(1.0 - sum(chosen, Affine({})))
+        self.inequalities.append(1.0 - sum(chosen, Affine({})))
         for choice, rows in zip(chosen, possible, strict=True):
             for row in rows:
                 self._require(row, 1.0 - choice)

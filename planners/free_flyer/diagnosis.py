@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.errors import PlanningError
 from planners.free_flyer.clearance_rows import solve_apart
 from planners.free_flyer.event_grid import build_event_grid
-from planners.free_flyer.formula_rows import add_requirements
-from planners.free_flyer.requirement import Requirement
+from planners.free_flyer.formula_rows import add_demands
+from planners.free_flyer.requirement import Demands
 from planners.free_flyer.reserves import Reserves
 from planners.mixed_integer import Affine, solve_mixed_integer
 
@@ -36,7 +35,7 @@ class Relaxation:
 
 def find_relaxation(
     scenario: FreeFlyerScenario,
-    needs: Sequence[Requirement],
+    demands: Demands,
     max_impacts: int,
     reserves: Reserves,
     time_limit: float,
@@ -48,7 +47,7 @@ def find_relaxation(
 
     Args:
         scenario: without a plan.
-        needs: its requirements.
+        demands: its demands.
         max_impacts: greatest number of impacts tried.
         reserves: what the plan keeps in hand.
         time_limit: wall time [s].
@@ -61,7 +60,7 @@ def find_relaxation(
     for impacts in range(max_impacts + 1):
         try:
             grid = build_event_grid(scenario, impacts, (0.0, 0.0), reserves, elastic=True)
-            add_requirements(grid, needs, scenario.control_period, passing=True)
+            add_demands(grid, demands, scenario.control_period, passing=True)
             model = grid.model
             model.objective = sum(model.slacks.values(), Affine({}))
             limit = time_limit / (max_impacts + 1)

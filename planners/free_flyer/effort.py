@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.cones import solve_cones
 from planners.errors import Infeasible
+from planners.free_flyer.choices import Choices
 from planners.free_flyer.clearance_rows import solve_apart
 from planners.free_flyer.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.events import EventSequence, Word, own_events
-from planners.free_flyer.formula_rows import add_requirements
-from planners.free_flyer.requirement import Requirement
+from planners.free_flyer.formula_rows import add_demands
+from planners.free_flyer.requirement import Demands, Requirement
 from planners.free_flyer.reserves import Reserves
 from planners.mixed_integer import Affine, Model, compute_lower_bound, evaluate
 from planners.solvers import solve
@@ -36,18 +37,20 @@ class EffortOptimum:
 
     Args:
         sequence: the events.
+        needs: what the formula demands of them, with the choices it leaves made.
         effort: J of the sequence [m^2/s].
         bound: proven lower bound of J [m^2/s].
     """
 
     sequence: EventSequence
+    needs: tuple[Requirement, ...]
     effort: float
     bound: float
 
 
 def minimise_effort(
     scenario: FreeFlyerScenario,
-    needs: Sequence[Requirement],
+    demands: Demands,
     shape: tuple[int, int],
     rho: float,
     reserves: Reserves,
@@ -64,7 +67,7 @@ def minimise_effort(
 
     Args:
         scenario: what to plan.
-        needs: its requirements.
+        demands: its demands.
         shape: number of impacts, and of pieces per leg.
         rho: robustness to keep [m].
         reserves: what the plan keeps in hand.
@@ -83,75 +86,86 @@ def minimise_effort(
     failure: Infeasible | None = None
     for wish, weight in itertools.product(WISHES, WEIGHTS if len(scenario.objects) > 1 else WEIGHTS[:1]):
         try:
-            grid = build_effort_grid(scenario, needs, shape, rho, reserves, wish, word)
-            return EffortProblem(scenario, grid, reserves, time_limit, solver, forbidden).solve(weight)
+            problem = build_effort_problem(
+                scenario, demands, shape, rho, reserves, time_limit, wish, word, solver, forbidden
+            )
+            return problem.solve(weight)
         except Infeasible as error:
             failure = error
     assert failure is not None
     raise failure
 
 
-def build_effort_grid(
+def build_effort_problem(
     scenario: FreeFlyerScenario,
-    needs: Sequence[Requirement],
+    demands: Demands,
     shape: tuple[int, int],
     rho: float,
     reserves: Reserves,
+    time_limit: float,
     wish: tuple[bool, bool],
     word: Word | None = None,
-) -> EventGrid:
-    """Build the grid of all events that keep a robustness, without effort.
+    solver: str = "highs",
+    forbidden: Sequence[Word] = (),
+    tangents: int = TANGENTS,
+    rounds: int = ROUNDS,
+) -> EffortProblem:
+    """Build the problem of the events of least effort that keep a robustness.
 
     Args:
         scenario: what to plan.
-        needs: its requirements.
+        demands: its demands.
         shape: number of impacts, and of pieces per leg.
         rho: robustness to keep [m].
         reserves: what the plan keeps in hand.
+        time_limit: of each mixed-integer solution [s].
         wish: one of `WISHES`.
         word: who hits what; open without.
+        solver: of mixed-integer models.
+        forbidden: words that are excluded.
+        tangents: at first, per sign.
+        rounds: of outer approximation, at most.
 
     Raises:
         Infeasible: the variable bounds alone exclude every such plan.
     """
     at_events, far = wish
-    wanted = [replace(need, reserve=reserves.avoid) if far and need.kind == "avoid" else need for need in needs]
     grid = build_event_grid(scenario, shape[0], (rho - 1e-9, rho), reserves, shape[1], word)
-    add_requirements(grid, wanted, scenario.control_period, passing=not at_events)
-    return grid
+    choices = add_demands(
+        grid, demands, scenario.control_period, passing=not at_events, reserve=reserves.avoid if far else 0.0
+    )
+    shares = _add_effort(grid, tangents)
+    for excluded in forbidden:
+        same = [grid.hits[k][pair] for k, pair in enumerate(excluded)]
+        grid.model.require(sum(same, Affine({})) - (len(same) - 1.0))
+    return EffortProblem(scenario, grid, choices, shares, reserves, time_limit, solver, rounds)
 
 
+@dataclass(eq=False)
 class EffortProblem:
-    """A grid with its effort as tangent planes, of which solutions add more.
+    """Hold a grid with its effort as tangent planes, of which solutions add more.
 
     Args:
         scenario: what to plan.
-        grid: gets the effort, and distances where they are needed.
+        grid: gets distances where they are needed.
+        choices: that the formula leaves.
+        shares: of the effort.
         reserves: what the plan keeps in hand.
         time_limit: of each mixed-integer solution [s].
         solver: of mixed-integer models.
-        forbidden: words that are excluded.
-        tangents: at first, per sign.
         rounds: of outer approximation, at most.
+        bound: of the effort, proven so far [m^2/s].
     """
 
-    def __init__(
-        self,
-        scenario: FreeFlyerScenario,
-        grid: EventGrid,
-        reserves: Reserves,
-        time_limit: float,
-        solver: str = "highs",
-        forbidden: Sequence[Word] = (),
-        tangents: int = TANGENTS,
-        rounds: int = ROUNDS,
-    ) -> None:
-        self.scenario, self.grid, self.reserves = scenario, grid, reserves
-        self.time_limit, self.solver, self.rounds, self.bound = time_limit, solver, rounds, 0.0
-        self.shares = _add_effort(grid, tangents)
-        for excluded in forbidden:
-            same = [grid.hits[k][pair] for k, pair in enumerate(excluded)]
-            grid.model.require(sum(same, Affine({})) - (len(same) - 1.0))
+    scenario: FreeFlyerScenario
+    grid: EventGrid
+    choices: Choices
+    shares: list[Share]
+    reserves: Reserves
+    time_limit: float
+    solver: str
+    rounds: int
+    bound: float = 0.0
 
     def relax(self, nodes: int = 0) -> tuple[float, np.ndarray | None]:
         """Return a lower bound of the effort, without the distances not added yet (see `compute_lower_bound`)."""
@@ -180,7 +194,8 @@ class EffortProblem:
             self._add_tangents(x)
         assert best is not None
         sequence = _read_sequence(self.scenario, self.grid, best)
-        return EffortOptimum(sequence, _measure_effort(sequence), self.bound)
+        needs = self.choices.read(best, sequence.knot_times(self.grid.count + 1))
+        return EffortOptimum(sequence, needs, _measure_effort(sequence), self.bound)
 
     def _solve_round(self) -> np.ndarray:
         relaxed = solve(self.grid.model, self.time_limit, RELATIVE_GAP / 2, self.solver)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,8 +18,9 @@ from planners.free_flyer.clearance_rows import solve_apart
 from planners.free_flyer.effort import EffortOptimum, minimise_effort
 from planners.free_flyer.event_grid import build_event_grid
 from planners.free_flyer.events import Hitter, Word, compute_impacts, make_object_curve
-from planners.free_flyer.formula_rows import add_requirements
-from planners.free_flyer.requirement import Requirement, compute_geometric_bound, read_requirements
+from planners.free_flyer.formula_rows import add_demands
+from planners.free_flyer.geometric_bound import compute_geometric_bound
+from planners.free_flyer.requirement import Demands, read_demands
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.sequence_search import restrict_to_object, search_words
 from planners.free_flyer.smoothing import smooth_motions
@@ -123,14 +124,14 @@ def make_free_flyer_plan(
     _check_arguments(scenario, max_impacts, time_limit)
     check_solver(solver)
     budget = Budget(time_limit, solver)
-    needs = read_requirements(scenario, reserves.wall)
+    demands = read_demands(scenario, reserves.wall)
     failure: PlanningError | None = None
     for _ in range(HALVINGS + 1):
         try:
             with budget.stage("robustness"):
                 search = maximise_robustness if len(scenario.objects) == 1 else maximise_jointly
-                optimum = search(scenario, needs, max_impacts, reserves, budget)
-            return _plan_events(scenario, needs, optimum, reserves, budget)
+                optimum = search(scenario, demands, max_impacts, reserves, budget)
+            return _plan_events(scenario, demands, optimum, reserves, budget)
         except PlanningError as error:
             failure = failure or error
         if budget.left <= 0.0:
@@ -142,7 +143,7 @@ def make_free_flyer_plan(
 
 def maximise_robustness(
     scenario: FreeFlyerScenario,
-    needs: Sequence[Requirement],
+    demands: Demands,
     max_impacts: int,
     reserves: Reserves,
     budget: Budget,
@@ -152,11 +153,11 @@ def maximise_robustness(
 
     Every number of impacts is solved to proven optimality or infeasibility (as far as the time limit lets it),
     until one attains the geometric bound, which holds for every number. Legs in several pieces are for numbers
-    infeasible without.
+    infeasible without, and for the first number with a plan that does not attain the bound.
 
     Args:
         scenario: what to plan.
-        needs: its requirements.
+        demands: its demands.
         max_impacts: greatest number of impacts tried.
         reserves: what the plan keeps in hand.
         budget: time and solver.
@@ -169,18 +170,18 @@ def maximise_robustness(
         Infeasible: no plan within max_impacts.
         SolverFailed: out of time.
     """
-    ceiling = compute_geometric_bound(scenario, needs)
+    ceiling = compute_geometric_bound(scenario, demands)
     problem = f"plan of {scenario.name}"
     if ceiling < 0.0:
         status = f"fixed starts, goals and areas leave a robustness of {ceiling:.3g} m at best"
         raise Infeasible(problem, status, "move them, or relax the formula")
     best: RobustnessOptimum | None = None
     for impacts, pieces in itertools.product(range(fewest, max_impacts + 1), PIECES):
-        if best is not None and (pieces > best.pieces or best.impacts == impacts):
+        if best is not None and pieces > best.pieces and impacts > best.impacts:
             continue
         try:
             grid = build_event_grid(scenario, impacts, (best.rho if best else 0.0, ceiling), reserves, pieces)
-            add_requirements(grid, needs, scenario.control_period, passing=True)
+            add_demands(grid, demands, scenario.control_period, passing=True)
             grid.model.objective = -grid.rho
             # Once there is a plan, looking for a more robust one with more impacts must leave time to finish it.
             limit = budget.left if best is None else budget.limit / 4 - budget.elapsed
@@ -205,7 +206,7 @@ def maximise_robustness(
 
 def maximise_jointly(
     scenario: FreeFlyerScenario,
-    needs: Sequence[Requirement],
+    demands: Demands,
     max_impacts: int,
     reserves: Reserves,
     budget: Budget,
@@ -217,7 +218,7 @@ def maximise_jointly(
 
     Args:
         scenario: what to plan.
-        needs: its requirements.
+        demands: its demands.
         max_impacts: greatest number of impacts tried.
         reserves: what the plan keeps in hand.
         budget: time and solver.
@@ -229,27 +230,27 @@ def maximise_jointly(
         Infeasible: no plan within max_impacts.
         SolverFailed: out of time.
     """
-    ceiling = compute_geometric_bound(scenario, needs)
+    ceiling = compute_geometric_bound(scenario, demands)
     rho, pieces = ceiling, 1
     hits: list[tuple[float, Hitter]] = []
     for name in scenario.objects:
         alone = restrict_to_object(scenario, name)
         if alone is None:
             continue
-        demands = read_requirements(alone, reserves.wall)
-        optimum = maximise_robustness(alone, demands, max_impacts, reserves, budget)
+        own = read_demands(alone, reserves.wall)
+        optimum = maximise_robustness(alone, own, max_impacts, reserves, budget)
         rho, pieces = min(rho, optimum.rho), max(pieces, optimum.pieces)
         shape = optimum.impacts, optimum.pieces
-        events = minimise_effort(alone, demands, shape, optimum.rho, reserves, [], budget.left, solver=budget.solver)
+        events = minimise_effort(alone, own, shape, optimum.rho, reserves, [], budget.left, solver=budget.solver)
         hits += zip(events.sequence.times[1:-1], events.sequence.hitters, strict=True)
     seed = tuple(hitter for _, hitter in sorted(hits))
     if len(seed) <= max_impacts:
         found = search_words(
-            scenario, needs, (len(seed), pieces), rho, reserves, seed, lambda: budget.left / 2, budget.solver
+            scenario, demands, (len(seed), pieces), rho, reserves, seed, lambda: budget.left / 2, budget.solver
         )
         if found.words:
             return RobustnessOptimum(len(seed), pieces, rho, ceiling, found.words, found.bound)
-    return maximise_robustness(scenario, needs, max_impacts, reserves, budget, fewest=len(seed))
+    return maximise_robustness(scenario, demands, max_impacts, reserves, budget, fewest=len(seed))
 
 
 def _solve_point(model: Model, time_limit: float, solver: str) -> np.ndarray:
@@ -258,7 +259,7 @@ def _solve_point(model: Model, time_limit: float, solver: str) -> np.ndarray:
 
 def _plan_events(
     scenario: FreeFlyerScenario,
-    needs: tuple[Requirement, ...],
+    demands: Demands,
     optimum: RobustnessOptimum,
     reserves: Reserves,
     budget: Budget,
@@ -273,14 +274,16 @@ def _plan_events(
             try:
                 with budget.stage("effort"):
                     limit = budget.left / 2
-                    events = minimise_effort(scenario, needs, shape, rho, slower, forbidden, limit, word, budget.solver)
+                    events = minimise_effort(
+                        scenario, demands, shape, rho, slower, forbidden, limit, word, budget.solver
+                    )
             except PlanningError as error:
                 failure = failure or error
                 if word is None:
                     break
                 continue
             try:
-                return _finish(scenario, needs, optimum, rho, events, slower, budget)
+                return _finish(scenario, optimum, rho, events, slower, budget)
             except PlanningError as error:
                 failure = failure or error
                 if word is None:
@@ -291,7 +294,6 @@ def _plan_events(
 
 def _finish(
     scenario: FreeFlyerScenario,
-    needs: tuple[Requirement, ...],
     optimum: RobustnessOptimum,
     rho: float,
     events: EffortOptimum,
@@ -302,7 +304,7 @@ def _finish(
     sequence = events.sequence
     with budget.stage("smoothing"):
         impacts = compute_impacts(scenario, sequence)
-        curves = smooth_motions(scenario, sequence, impacts, needs, rho, reserves)
+        curves = smooth_motions(scenario, sequence, impacts, events.needs, rho, reserves)
     plan = Plan(
         scenario=scenario.name,
         objective="robustness",

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import Always, And, Formula
 from planners.errors import Infeasible, PlanningError
-from planners.free_flyer.effort import WEIGHTS, WISHES, EffortProblem, build_effort_grid, read_word
-from planners.free_flyer.event_grid import EventGrid
+from planners.free_flyer.effort import WEIGHTS, WISHES, EffortProblem, build_effort_problem, read_word
 from planners.free_flyer.events import Word
-from planners.free_flyer.requirement import Requirement
+from planners.free_flyer.requirement import Demands
 from planners.free_flyer.reserves import Reserves
 
 TANGENTS = 5  # perspective cuts per sign while words are compared
@@ -68,7 +67,7 @@ def _parts_about(formula: Formula, bodies: set[str]) -> Iterator[Formula]:
 
 def search_words(
     scenario: FreeFlyerScenario,
-    needs: Sequence[Requirement],
+    demands: Demands,
     shape: tuple[int, int],
     rho: float,
     reserves: Reserves,
@@ -85,7 +84,7 @@ def search_words(
 
     Args:
         scenario: what to plan.
-        needs: its requirements.
+        demands: its demands.
         shape: number of impacts, and of pieces per leg.
         rho: robustness to keep [m].
         reserves: what the plan keeps in hand.
@@ -96,15 +95,17 @@ def search_words(
     Returns:
         The words with plans; none if the search found none.
     """
-    bound, found = _bound_effort(scenario, needs, shape, rho, reserves, time_limit())
+    bound, found = _bound_effort(scenario, demands, shape, rho, reserves, time_limit())
     starts = [seed] if found is None else [seed, found]
     efforts: dict[Word, float] = {}
     for wish in WISHES:
 
         def measure(word: Word, best: float, wish: tuple[bool, bool] = wish) -> float:
             if word not in efforts:
-                grid = partial(build_effort_grid, scenario, needs, shape, rho, reserves, wish, word)
-                efforts[word] = _measure_word(scenario, grid, reserves, best, time_limit(), solver)
+                build = partial(
+                    build_effort_problem, scenario, demands, shape, rho, reserves, time_limit(), wish, word, solver
+                )
+                efforts[word] = _measure_word(build, best)
             return efforts[word]
 
         best = min(starts, key=lambda word: measure(word, math.inf))
@@ -148,7 +149,7 @@ def _neighbours(scenario: FreeFlyerScenario, word: Word) -> Iterator[Word]:
 
 def _bound_effort(
     scenario: FreeFlyerScenario,
-    needs: Sequence[Requirement],
+    demands: Demands,
     shape: tuple[int, int],
     rho: float,
     reserves: Reserves,
@@ -156,25 +157,20 @@ def _bound_effort(
 ) -> tuple[float, Word | None]:
     """Return a bound of the effort over all words, without distances, and the best word on the way."""
     try:
-        grid = build_effort_grid(scenario, needs, shape, rho, reserves, WISHES[-1])
-        nodes = NODES if sum(len(hits) for hits in grid.hits) <= FEW else 0
-        bound, point = EffortProblem(scenario, grid, reserves, time_limit, tangents=2 * TANGENTS).relax(nodes)
+        problem = build_effort_problem(
+            scenario, demands, shape, rho, reserves, time_limit, WISHES[-1], tangents=2 * TANGENTS
+        )
+        nodes = NODES if sum(len(hits) for hits in problem.grid.hits) <= FEW else 0
+        bound, point = problem.relax(nodes)
     except Infeasible:
         return math.inf, None
-    return max(bound, 0.0), read_word(grid, point) if nodes and point is not None else None
+    return max(bound, 0.0), read_word(problem.grid, point) if nodes and point is not None else None
 
 
-def _measure_word(
-    scenario: FreeFlyerScenario,
-    build: Callable[[], EventGrid],
-    reserves: Reserves,
-    best: float,
-    time_limit: float,
-    solver: str,
-) -> float:
-    """Return the least effort of a word's grid; infinite if it has no plan, or none better than the best."""
+def _measure_word(build: Callable[..., EffortProblem], best: float) -> float:
+    """Return the least effort of a word; infinite if it has no plan, or none better than the best."""
     try:
-        problem = EffortProblem(scenario, build(), reserves, time_limit, solver, tangents=TANGENTS, rounds=1)
+        problem = build(tangents=TANGENTS, rounds=1)
         if problem.relax()[0] >= (1.0 - GAP) * best:
             return math.inf
         return problem.solve(WEIGHTS[1]).effort
