@@ -98,6 +98,7 @@ class Model:
     equalities: list[Affine] = field(default_factory=list)
     objective: Affine = field(default_factory=lambda: Affine({}))
     slacks: dict[str, Affine] = field(default_factory=dict)
+    rigid: set[int] = field(default_factory=set)
     _slack: Affine | None = None
 
     @contextmanager
@@ -118,8 +119,10 @@ class Model:
         finally:
             self._slack = outer
 
-    def variable(self, lower: float, upper: float, integer: bool = False) -> Affine:
-        """Add a variable between finite bounds and return it as an expression."""
+    def variable(self, lower: float, upper: float, integer: bool = False, rigid: bool = False) -> Affine:
+        """Add a variable between finite bounds and return it as an expression; rows of rigid ones do not give way."""
+        if rigid:
+            self.rigid.add(len(self.lower))
         self.lower.append(float(lower))
         self.upper.append(float(upper))
         self.integer.append(integer)
@@ -159,7 +162,9 @@ class Model:
 
     def loosened(self, expression: Affine | float) -> Affine | float:
         """Return the expression as `require` bounds it: in an elastic model less the slack of the current part."""
-        return expression if self._slack is None else expression - self._slack
+        if self._slack is None or (isinstance(expression, Affine) and self.rigid.issuperset(expression.coefficients)):
+            return expression
+        return expression - self._slack
 
     def _require(self, expression: Affine | float, unless: Affine | float) -> None:
         low, high = self.limits(expression)

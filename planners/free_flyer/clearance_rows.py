@@ -42,7 +42,7 @@ def solve_apart(
         add_clearance_rows(grid, scenario, reserves, [(*pair, piece) for pair in pairs for piece in range(grid.count)])
     while True:
         x = solve()
-        # Rows that are there already may be violated in an elastic model, or by round-off.
+        # Rows that are there already may be violated by round-off.
         conflicts = [place for place in find_conflicts(grid, scenario, reserves, x) if place not in grid.apart]
         if not conflicts:
             return x
@@ -69,13 +69,12 @@ def add_clearance_rows(
     """
     for first, second, piece in places:
         grid.apart.add((first, second, piece))
-        with grid.model.part(f"distance of {first} and {second}", scenario.world.diagonal):
-            grid.model.require_any(
-                [
-                    [_wanted(grid, scenario, (first, second), knot, apart, reserves) - apart for knot, apart in ends]
-                    for ends in _separations(grid, first, second, piece)
-                ]
-            )
+        grid.model.require_any(
+            [
+                [_wanted(grid, scenario, (first, second), knot, apart, reserves) - apart for knot, apart in ends]
+                for ends in _separations(grid, first, second, piece)
+            ]
+        )
 
 
 def find_conflicts(grid: EventGrid, scenario: FreeFlyerScenario, reserves: Reserves, x: np.ndarray) -> list[Place]:

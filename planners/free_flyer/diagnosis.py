@@ -22,7 +22,7 @@ class Relaxation:
     """Hold what to loosen.
 
     Args:
-        part: conjunct of the formula, limit of a body, or distance of two.
+        part: conjunct of the formula, or speed of a body.
         amount: by how much [m]; of a speed: further than it goes on one leg.
     """
 
@@ -30,7 +30,9 @@ class Relaxation:
     amount: float
 
     def __str__(self) -> str:
-        return f"'{self.part}' by {self.amount:.2g} m" + (" per leg" if self.part.startswith("speed") else "")
+        if self.part.startswith("speed of "):
+            return f"{self.amount:.2g} m more per leg within reach of {self.part.removeprefix('speed of ')}"
+        return f"'{self.part}' loosened by {self.amount:.2g} m"
 
 
 def find_relaxation(
@@ -42,8 +44,8 @@ def find_relaxation(
 ) -> tuple[Relaxation, ...]:
     """Return the parts of a scenario that together need the least loosening for a plan to exist.
 
-    Every conjunct, speed limit and distance gets a slack variable; the sum of all is least. It is the least over
-    the numbers of impacts that the time limit admits.
+    Every conjunct and the speed of every body gets a slack variable; the sum of all is least, over the numbers of
+    impacts that the time limit admits. Times and distances between bodies stay as they are.
 
     Args:
         scenario: without a plan.

@@ -119,7 +119,7 @@ def build_event_grid(
         reserves: what the plan keeps in hand.
         pieces: number of pieces per leg.
         word: who hits what at each impact; open without.
-        elastic: whether limits and clearances may be violated, see `Model`.
+        elastic: whether speeds, and what is added in parts, may be exceeded; see `Model`.
 
     Returns:
         The grid; `add_requirements` adds the formula, the stages their objectives, `solve_apart` distances.
@@ -163,7 +163,7 @@ def _add_times(
 ) -> list[Affine | float]:
     first, _, last = reserves.times(scenario.horizon)
     latest = max(scenario.horizon - last, first)
-    events = [model.variable(first, latest) for _ in range(impacts)]
+    events = [model.variable(first, latest, rigid=True) for _ in range(impacts)]
     return _refine([0.0, *events, scenario.horizon], pieces)
 
 

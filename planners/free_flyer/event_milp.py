@@ -15,6 +15,7 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.clearance_rows import solve_apart
+from planners.free_flyer.diagnosis import find_relaxation
 from planners.free_flyer.effort import EffortOptimum, minimise_effort
 from planners.free_flyer.event_grid import build_event_grid
 from planners.free_flyer.events import Hitter, Word, compute_impacts, make_object_curve
@@ -31,6 +32,8 @@ from planners.solvers import check_solver, solve
 
 TOLERANCE = 1e-6  # [m]
 PIECES = (1, 2)  # per leg; two let robots go round corners
+DIAGNOSIS = 20.0  # for finding what to loosen, at most [s]
+LEAST = 1e-3  # robustness worth the name [m]
 HALVINGS = 2  # of the reserves, where a task leaves no room for them
 WORDS = 3  # sequences of hitting robots tried at each of the TURNS
 TURNS = (1.0, 1.5)  # of the time for starting and stopping, when motions prove too quick to be smoothed
@@ -114,7 +117,7 @@ def make_free_flyer_plan(
 
     Raises:
         InputError: bad numbers, or a scenario or formula of an unsupported form.
-        Infeasible: no plan within max_impacts, or none that can be smoothed.
+        Infeasible: no plan within max_impacts, or none that can be smoothed; says what to loosen, and by how much.
         SolverFailed: a solver stopped early, or the plan failed the check.
 
     Source: Verhagen & Tumova, Sec. IV-B, on a grid of events.
@@ -126,6 +129,7 @@ def make_free_flyer_plan(
     budget = Budget(time_limit, solver)
     demands = read_demands(scenario, reserves.wall)
     failure: PlanningError | None = None
+    smallest = reserves
     for _ in range(HALVINGS + 1):
         try:
             with budget.stage("robustness"):
@@ -136,9 +140,15 @@ def make_free_flyer_plan(
             failure = failure or error
         if budget.left <= 0.0:
             break
-        reserves = reserves.halved()
+        smallest, reserves = reserves, reserves.halved()
     assert failure is not None
-    raise failure
+    if not isinstance(failure, Infeasible):
+        raise failure
+    found = find_relaxation(scenario, demands, max_impacts, smallest, min(max(budget.left, 5.0), DIAGNOSIS))
+    if not found:
+        raise failure
+    remedy = f"a plan would exist with {' and '.join(str(relaxation) for relaxation in found)}"
+    raise Infeasible(failure.problem, failure.status, remedy)
 
 
 def maximise_robustness(
@@ -172,7 +182,7 @@ def maximise_robustness(
     """
     ceiling = compute_geometric_bound(scenario, demands)
     problem = f"plan of {scenario.name}"
-    if ceiling < 0.0:
+    if ceiling < LEAST:
         status = f"fixed starts, goals and areas leave a robustness of {ceiling:.3g} m at best"
         raise Infeasible(problem, status, "move them, or relax the formula")
     best: RobustnessOptimum | None = None
@@ -180,7 +190,7 @@ def maximise_robustness(
         if best is not None and pieces > best.pieces and impacts > best.impacts:
             continue
         try:
-            grid = build_event_grid(scenario, impacts, (best.rho if best else 0.0, ceiling), reserves, pieces)
+            grid = build_event_grid(scenario, impacts, (best.rho if best else LEAST, ceiling), reserves, pieces)
             add_demands(grid, demands, scenario.control_period, passing=True)
             grid.model.objective = -grid.rho
             # Once there is a plan, looking for a more robust one with more impacts must leave time to finish it.
@@ -266,7 +276,7 @@ def _plan_events(
 ) -> Plan:
     """Try sequences of robots in the order of their effort until one passes smoothing and the check."""
     failure: PlanningError | None = None
-    shape, rho = (optimum.impacts, optimum.pieces), max(0.0, optimum.rho - reserves.interior)
+    shape, rho = (optimum.impacts, optimum.pieces), max(LEAST, optimum.rho - reserves.interior)
     for turn in TURNS:
         slower = replace(reserves, turn=turn * reserves.turn)
         forbidden: list[Word] = []

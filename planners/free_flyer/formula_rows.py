@@ -179,7 +179,7 @@ class _Encoder:
             # In an elastic model the rows may give way, so the bounds must not be in their stead.
             low, high = max(low, model.limits(first)[0]), min(high, model.limits(last)[1])
         # Where no instant is left, neither of the rows can hold.
-        instant = model.variable(min(low, high), high)
+        instant = model.variable(min(low, high), high, rigid=True)
         self.instants.append(instant)
         return instant, AllOf((first - instant, instant - last))
 
@@ -247,7 +247,7 @@ class _Encoder:
         nodes: list[Node] = []
         for places in self._witnesses(child):
             begin, end = self._time(places[0]), self._time(places[-1])
-            now = self.grid.model.variable(earliest, self.grid.model.limits(self.grid.times[-1])[1])
+            now = self.grid.model.variable(earliest, self.grid.model.limits(self.grid.times[-1])[1], rigid=True)
             self.instants.append(now)
             state = self._state(child, places, ((begin, end),), once=len(places) == 1)
             nodes.append(AnyOf((now - latest, AllOf((begin - latest - span, begin - now, now - end, state)))))
@@ -268,7 +268,7 @@ class _Encoder:
         longest = self.grid.model.limits(window.end - window.start)[1]
         count = int(np.ceil(longest / span - 1e-9)) + 1
         if count > WITNESSES:
-            delay = self.grid.model.variable(lower, upper)
+            delay = self.grid.model.variable(lower, upper, rigid=True)
             later = Window(window.start + delay, window.end + delay, self.period, self.period)
             return self.hold(child, later), later.end
         nodes: list[Node] = []
