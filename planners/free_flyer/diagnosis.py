@@ -39,6 +39,7 @@ def find_relaxation(
     scenario: FreeFlyerScenario,
     demands: Demands,
     max_impacts: int,
+    rho: float,
     reserves: Reserves,
     time_limit: float,
 ) -> tuple[Relaxation, ...]:
@@ -51,6 +52,7 @@ def find_relaxation(
         scenario: without a plan.
         demands: its demands.
         max_impacts: greatest number of impacts tried.
+        rho: robustness that is wanted [m].
         reserves: what the plan keeps in hand.
         time_limit: wall time [s].
 
@@ -61,7 +63,7 @@ def find_relaxation(
     least = float("inf")
     for impacts in range(max_impacts + 1):
         try:
-            grid = build_event_grid(scenario, impacts, (0.0, 0.0), reserves, elastic=True)
+            grid = build_event_grid(scenario, impacts, (rho, rho), reserves, elastic=True)
             add_demands(grid, demands, scenario.control_period, passing=True)
             model = grid.model
             model.objective = sum(model.slacks.values(), Affine({}))

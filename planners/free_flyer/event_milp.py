@@ -144,7 +144,7 @@ def make_free_flyer_plan(
     assert failure is not None
     if not isinstance(failure, Infeasible):
         raise failure
-    found = find_relaxation(scenario, demands, max_impacts, smallest, min(max(budget.left, 5.0), DIAGNOSIS))
+    found = find_relaxation(scenario, demands, max_impacts, LEAST, smallest, min(max(budget.left, 5.0), DIAGNOSIS))
     if not found:
         raise failure
     remedy = f"a plan would exist with {' and '.join(str(relaxation) for relaxation in found)}"
