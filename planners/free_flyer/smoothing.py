@@ -17,15 +17,17 @@ from planners.errors import Infeasible
 from planners.free_flyer.events import EventSequence, make_object_curve
 from planners.free_flyer.quintic import DEGREE, Node, QuinticSpline, build_quintic_spline
 from planners.free_flyer.requirement import Requirement
+from planners.free_flyer.requirement_rows import add_requirement_rows
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.spline_rows import SplineRows
 from planners.plan import PlannedImpact
 
 JERK_WEIGHT = 1.0  # [s^2]
 GROWTH = 0.03  # how fast robot and object must part after, and may near before, their own impact [m/s]
-SLACK_WEIGHT = 1e3
+SLACK_WEIGHTS = 1e3, 1e5  # the second for what the first leaves violated
 AREA_TOLERANCE = 1e-6  # [m]
 ROUNDS = 8
+SHORTEST = 0.099  # segment between a breakpoint and the end of a window [s]
 
 
 @dataclass(frozen=True)
@@ -74,12 +76,13 @@ def smooth_motions(
     # Clearance is a reserve, of which half may be spent; the check of the plan knows what must not.
     allowed = {"area": AREA_TOLERANCE, "clearance": 0.5 * reserves.clearance}
     good = False
-    for _ in range(ROUNDS):
-        before = good
-        points, worst = _solve_round(problem, points)
-        good = all(worst[kind] <= limit for kind, limit in allowed.items())
-        if before and good:
-            break
+    for weight in SLACK_WEIGHTS:
+        for _ in range(0 if good else ROUNDS):
+            before = good
+            points, worst = _solve_round(problem, points, weight)
+            good = all(worst[kind] <= limit for kind, limit in allowed.items())
+            if before and good:
+                break
     for kind, limit in allowed.items():
         if worst[kind] > limit:
             status = f"{kind} rows are {worst[kind]:.3g} m short"
@@ -95,7 +98,7 @@ def _build_problem(
     rho: float,
     reserves: Reserves,
 ) -> _Problem:
-    windows = [t for need in needs if need.body in scenario.robots for t in (need.start, need.end)]
+    windows = [t for need in needs if scenario.robots.keys() & need.bodies for t in (need.start, need.end)]
     times = _make_breakpoints(sequence.times, windows)
     splines = {name: _make_spline(scenario, times, impacts, name) for name in scenario.robots}
     moments = next(iter(splines.values())).greville()
@@ -107,14 +110,17 @@ def _build_problem(
 
 
 def _make_breakpoints(events: np.ndarray, windows: Sequence[float]) -> np.ndarray:
-    """Return breakpoints, dense near events, where velocities turn."""
+    """Return breakpoints, dense near events, where velocities turn; ends of windows take the place of near ones."""
     times = [0.0]
     for start, end in itertools.pairwise(events):
         count = int(np.clip(np.ceil((end - start) / 3.0), 4, 14))
         times += [*(start + (end - start) * (1 - np.cos(np.pi * np.arange(1, count) / count)) / 2), end]
-    grid = np.array(times)
-    extra = [t for t in windows if np.abs(grid - t).min() > 0.1]
-    return np.unique(np.concatenate([grid, extra]))
+    fixed = list(events)
+    for time in sorted(set(windows)):
+        if np.abs(np.array(fixed) - time).min() > SHORTEST:
+            fixed.append(time)
+    free = [t for t in times if np.abs(np.array(fixed) - t).min() > SHORTEST]
+    return np.unique([*fixed, *free])
 
 
 def _make_spline(
@@ -140,19 +146,23 @@ def _interpolate_knots(problem: _Problem, name: str) -> np.ndarray:
     return points.reshape(-1, DEGREE + 1, 2)
 
 
-def _solve_round(problem: _Problem, points: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+def _solve_round(
+    problem: _Problem, points: dict[str, np.ndarray], weight: float
+) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """Solve the QP with the sides read off the previous points; returns new points and violations by kind."""
     splines = problem.splines
     rows = SplineRows(splines)
     for name in splines:
         _add_limits(rows, problem, name)
-        _add_areas(rows, problem, name, points[name])
+        _add_world(rows, problem, name, points[name])
+        _add_requirements(rows, problem, points, name)
         for struck in problem.scenario.objects:
             _add_object_clearance(rows, problem, name, struck, points[name])
     for first, second in itertools.combinations(splines, 2):
         _add_robot_clearance(rows, problem, first, second, points)
+    _add_requirements(rows, problem, points)
     A, b = rows.stack()
-    P, q = _make_cost(splines, rows.slacks)
+    P, q = _make_cost(splines, np.full(rows.slacks, weight))
     x = solve_clarabel("smoothing", P, q, A, b, [clarabel.NonnegativeConeT(len(b))])
     found = {}
     for name, spline in splines.items():
@@ -161,16 +171,16 @@ def _solve_round(problem: _Problem, points: dict[str, np.ndarray]) -> tuple[dict
     return found, {kind: rows.violation(x, kind) for kind in ("area", "clearance")}
 
 
-def _make_cost(splines: dict[str, QuinticSpline], slacks: int) -> tuple[sparse.csc_matrix, np.ndarray]:
+def _make_cost(splines: dict[str, QuinticSpline], prices: np.ndarray) -> tuple[sparse.csc_matrix, np.ndarray]:
     # Accelerations are some 0.01 m/s^2; a factor brings the cost near 1, where the solver's tolerances fit.
     blocks, linear = [], []
     for spline in splines.values():
         quadratic, slope = spline.cost(JERK_WEIGHT)
         blocks += [100.0 * quadratic, 100.0 * quadratic]
         linear += [100.0 * slope[:, 0], 100.0 * slope[:, 1]]
-    blocks.append(sparse.csc_matrix((slacks, slacks)))
+    blocks.append(sparse.csc_matrix((len(prices), len(prices))))
     P = sparse.triu(sparse.block_diag(blocks), format="csc")
-    return P, np.concatenate([*linear, np.full(slacks, SLACK_WEIGHT)])
+    return P, np.concatenate([*linear, prices])
 
 
 def _add_limits(rows: SplineRows, problem: _Problem, name: str) -> None:
@@ -183,9 +193,9 @@ def _add_limits(rows: SplineRows, problem: _Problem, name: str) -> None:
             rows.add([(name, part, normals)], np.full(len(normals), limit))
 
 
-def _add_areas(rows: SplineRows, problem: _Problem, name: str, points: np.ndarray) -> None:
-    """Keep the robot inside the world, inside areas to stay in and beyond one face of areas to avoid."""
-    scenario, times = problem.scenario, problem.times
+def _add_world(rows: SplineRows, problem: _Problem, name: str, points: np.ndarray) -> None:
+    """Keep the robot inside the world."""
+    scenario = problem.scenario
     robot = scenario.robots[name]
     lower, upper = np.array(scenario.world.lower), np.array(scenario.world.upper)
     for axis, sign in itertools.product(range(2), (1.0, -1.0)):
@@ -195,23 +205,14 @@ def _add_areas(rows: SplineRows, problem: _Problem, name: str, points: np.ndarra
         ends = [robot.start[axis], robot.start[axis] if robot.goal is None else robot.goal[axis]]
         inset = min(robot.radius + problem.reserves.wall, edge - max(sign * end for end in ends))
         _add_halfspaces(rows, problem, name, normals, np.full(normals.shape[:2], edge - inset))
+
+
+def _add_requirements(rows: SplineRows, problem: _Problem, points: dict[str, np.ndarray], name: str = "") -> None:
+    """Keep what is demanded of one robot alone, or, without a name, of several bodies together."""
+    places = points | problem.object_points
     for need in problem.needs:
-        if need.body != name:
-            continue
-        active = (times[1:] > need.start) & (times[:-1] < need.end)
-        if need.start == need.end:
-            active = (times[1:] >= need.start) & (times[:-1] <= need.end)
-        if need.kind == "stay":
-            for face, bound in zip(need.faces, need.bounds, strict=True):
-                normals = np.broadcast_to(face, points.shape)
-                limit = np.where(active, bound - problem.rho, np.inf)
-                _add_halfspaces(rows, problem, name, normals, np.repeat(limit[:, None], DEGREE + 1, axis=1))
-        else:
-            beyond = points @ need.faces.T - need.bounds
-            chosen = beyond.min(axis=1).argmax(axis=1)
-            normals = np.broadcast_to(-need.faces[chosen][:, None, :], points.shape)
-            limit = np.where(active, -need.bounds[chosen] - need.margin(problem.rho), np.inf)
-            _add_halfspaces(rows, problem, name, normals, np.repeat(limit[:, None], DEGREE + 1, axis=1))
+        if need.bodies == (name,) or (not name and len(need.bodies) > 1):
+            add_requirement_rows(rows, problem.splines, need, problem.rho, places)
 
 
 def _add_halfspaces(
