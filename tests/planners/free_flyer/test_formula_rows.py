@@ -8,6 +8,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import load_scenario
 from impact_envs.stl import Formula, Trace, parse, robustness
 from planners.errors import Infeasible, SolverFailed
+from planners.free_flyer.clearance_rows import solve_apart
 from planners.free_flyer.event_grid import build_event_grid
 from planners.free_flyer.event_milp import make_free_flyer_plan
 from planners.free_flyer.formula_rows import add_demands
@@ -68,16 +69,16 @@ def _solve(
     grid = build_event_grid(scenario, impacts, (least, max(bound, least)), Reserves(), pieces)
     choices = add_demands(grid, demands, scenario.control_period, passing)
     grid.model.objective = -grid.rho
-    solution = solve_mixed_integer(grid.model, seconds, 1e-4)
-    knot_times = evaluate(grid.times, solution.x)
+    x = solve_apart(grid, scenario, Reserves(), lambda: solve_mixed_integer(grid.model, seconds, 1e-4).x)
+    knot_times = evaluate(grid.times, x)
     times = np.arange(round(scenario.horizon / PERIOD) + 1) * PERIOD
     positions = {}
     for name, knots in grid.knots.items():
-        points = evaluate(knots, solution.x)
+        points = evaluate(knots, x)
         positions[name] = np.stack([np.interp(times, knot_times, points[:, d]) for d in range(2)], axis=1)
     true = _robustness(scenario, scenario.specification, positions)
-    needs = choices.read(solution.x, knot_times)
-    return _Found(scenario, -solution.objective, true, bound, times, positions, needs)
+    needs = choices.read(x, knot_times)
+    return _Found(scenario, float(grid.rho.value(x)), true, bound, times, positions, needs)
 
 
 # Without impacts the object rests at (0.5, 1.5), snap goes from (0, 0.5) and crackle from (0, 3.25) and back.
