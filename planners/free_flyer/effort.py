@@ -193,9 +193,7 @@ class EffortProblem:
                 break
             self._add_tangents(x)
         assert best is not None
-        sequence = _read_sequence(self.scenario, self.grid, best)
-        needs = self.choices.read(best, sequence.knot_times(self.grid.count + 1))
-        return EffortOptimum(sequence, needs, _measure_effort(sequence), self.bound)
+        return read_events(self.scenario, self.grid, self.choices, best, self.bound)
 
     def _solve_round(self) -> np.ndarray:
         relaxed = solve(self.grid.model, self.time_limit, RELATIVE_GAP / 2, self.solver)
@@ -262,6 +260,23 @@ def _add_effort(grid: EventGrid, tangents: int) -> list[Share]:
                 total = total + effort
     grid.model.objective = total
     return shares
+
+
+def read_events(
+    scenario: FreeFlyerScenario, grid: EventGrid, choices: Choices, x: np.ndarray, bound: float = 0.0
+) -> EffortOptimum:
+    """Return the events of a point of the grid's model.
+
+    Args:
+        scenario: what is planned.
+        grid: meaning of the point.
+        choices: that the formula leaves.
+        x: the point, shape (n,).
+        bound: proven lower bound of the effort [m^2/s].
+    """
+    sequence = _read_sequence(scenario, grid, x)
+    needs = choices.read(x, sequence.knot_times(grid.count + 1))
+    return EffortOptimum(sequence, needs, _measure_effort(sequence), bound)
 
 
 def _read_sequence(scenario: FreeFlyerScenario, grid: EventGrid, x: np.ndarray) -> EventSequence:

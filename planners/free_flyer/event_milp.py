@@ -16,7 +16,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.clearance_rows import solve_apart
 from planners.free_flyer.diagnosis import find_relaxation
-from planners.free_flyer.effort import EffortOptimum, minimise_effort
+from planners.free_flyer.effort import EffortOptimum, minimise_effort, read_events
 from planners.free_flyer.event_grid import build_event_grid
 from planners.free_flyer.events import Hitter, Word, compute_impacts, make_object_curve
 from planners.free_flyer.formula_rows import add_demands
@@ -50,6 +50,7 @@ class RobustnessOptimum:
         bound: what no plan of any kind can exceed [m].
         words: who hits what, least effort first; open if empty.
         effort_bound: that no word goes below [m^2/s].
+        events: that attain it, of any effort, for when there is no time for the least; one object only.
     """
 
     impacts: int
@@ -58,6 +59,7 @@ class RobustnessOptimum:
     bound: float
     words: tuple[Word, ...] = ()
     effort_bound: float = 0.0
+    events: EffortOptimum | None = None
 
 
 @dataclass
@@ -191,13 +193,12 @@ def maximise_robustness(
             continue
         try:
             grid = build_event_grid(scenario, impacts, (best.rho if best else LEAST, ceiling), reserves, pieces)
-            add_demands(grid, demands, scenario.control_period, passing=True)
+            choices = add_demands(grid, demands, scenario.control_period, passing=True)
             grid.model.objective = -grid.rho
             # Once there is a plan, looking for a more robust one with more impacts must leave time to finish it.
             limit = budget.left if best is None else budget.limit / 4 - budget.elapsed
-            rho = grid.rho.value(
-                solve_apart(grid, scenario, reserves, partial(_solve_point, grid.model, limit, budget.solver))
-            )
+            x = solve_apart(grid, scenario, reserves, partial(_solve_point, grid.model, limit, budget.solver))
+            rho = grid.rho.value(x)
         except Infeasible:
             continue
         except SolverFailed:
@@ -205,7 +206,9 @@ def maximise_robustness(
                 raise
             break
         if best is None or rho > best.rho + TOLERANCE:
-            best = RobustnessOptimum(impacts, pieces, ceiling if ceiling - rho <= TOLERANCE else rho, ceiling)
+            events = read_events(scenario, grid, choices, x) if len(scenario.objects) == 1 else None
+            rho = ceiling if ceiling - rho <= TOLERANCE else rho
+            best = RobustnessOptimum(impacts, pieces, rho, ceiling, events=events)
         if best.rho == ceiling:
             break
     if best is None:
@@ -274,7 +277,10 @@ def _plan_events(
     reserves: Reserves,
     budget: Budget,
 ) -> Plan:
-    """Try sequences of robots in the order of their effort until one passes smoothing and the check."""
+    """Try sequences of robots in the order of their effort until one passes smoothing and the check.
+
+    Out of time, the events of stage A have to do, whatever their effort.
+    """
     failure: PlanningError | None = None
     shape, rho = (optimum.impacts, optimum.pieces), max(LEAST, optimum.rho - reserves.interior)
     for turn in TURNS:
@@ -299,7 +305,9 @@ def _plan_events(
                 if word is None:
                     forbidden.append(events.sequence.hitters)
     assert failure is not None
-    raise failure
+    if isinstance(failure, Infeasible) or optimum.events is None:
+        raise failure
+    return _finish(scenario, optimum, optimum.rho, optimum.events, reserves, budget)
 
 
 def _finish(
@@ -323,7 +331,7 @@ def _finish(
         bound=optimum.bound,
         gap=optimum.bound - rho,
         effort=events.effort,
-        effort_bound=optimum.effort_bound if optimum.words else events.bound,
+        effort_bound=(optimum.effort_bound if optimum.words else events.bound) or None,
         impacts=impacts,
         robots=curves,
         objects={name: make_object_curve(sequence, name) for name in scenario.objects},

@@ -7,7 +7,7 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import load_scenario
 from planners import make_plan
-from planners.errors import Infeasible
+from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.event_milp import make_free_flyer_plan
 from planners.plan import Plan
 
@@ -35,12 +35,20 @@ def test_robustness_attains_the_bound_of_all_plans(name: str) -> None:
     assert len(plan.impacts) == impacts
     assert plan.validated
     assert 0.0 < plan.effort_bound <= plan.effort + 1e-6
-    assert plan.effort <= 1.1 * plan.effort_bound
+    assert plan.effort <= 1.01 * plan.effort_bound
 
 
-@pytest.mark.parametrize("name", ["throw_and_catch", "corridor"])
-def test_proof_takes_less_than_a_second(name: str) -> None:
-    assert _plan(name).stage_seconds["robustness"] < 1.0
+def test_out_of_time_for_the_least_effort_the_robust_events_have_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    def late(*_: object) -> None:
+        raise SolverFailed("effort", "time limit reached", "raise the time limit")
+
+    monkeypatch.setattr("planners.free_flyer.event_milp.minimise_effort", late)
+    plan = make_plan("throw_and_catch")
+    assert plan.robustness == pytest.approx(0.25, abs=1e-6)
+    assert plan.gap == 0.0
+    assert plan.validated
+    assert plan.effort_bound is None
+    assert plan.effort >= _plan("throw_and_catch").effort
 
 
 @pytest.mark.slow
