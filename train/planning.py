@@ -51,7 +51,9 @@ class Plan:
             return self._plan_by_bezier(scenario)
         from planners import make_plan
 
-        options: dict[str, Any] = {"objective": self.objective, "time_limit": self.time_limit, "solver": self.solver}
+        options: dict[str, Any] = {"objective": self.objective, "time_limit": self.time_limit}
+        if self.objective == "robustness":
+            options["solver"] = self.solver
         if self.max_impacts is not None:
             options["max_impacts"] = self.max_impacts
         if self.time_grid is not None:
@@ -74,6 +76,8 @@ class Plan:
             check_picture_path(self.plot)
         if self.time_grid is not None and self.objective != "impact_uncertainty":
             raise InputError(f"--time-grid {self.time_grid} needs --objective impact_uncertainty, got {self.objective}")
+        if self.solver != "highs" and self.objective != "robustness":
+            raise InputError(f"--solver {self.solver} needs --objective robustness; choices: highs")
         if self.encoding == "bezier":
             if self.objective != "robustness":
                 raise InputError(f"--encoding bezier has objective robustness, got {self.objective}")

@@ -64,6 +64,7 @@ BAD = {
     "encoding": (("--encoding", "bezier", "--objective", "impact_uncertainty"), ["bezier", "impact_uncertainty"]),
     "bezier out": (("--encoding", "bezier", "--out", "plan.json"), ["bezier", "--out"]),
     "solver": (("--solver", "cplex"), ["cplex", "highs", "scip"]),
+    "solver of deviations": (("--solver", "scip", "--objective", "impact_uncertainty"), ["scip", "robustness"]),
     "impacts": (("--max-impacts", "-1"), ["max_impacts", "-1"]),
 }
 
