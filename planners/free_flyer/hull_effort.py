@@ -31,7 +31,7 @@ class RobustEvents:
         needs: what the formula demands of them, with the choices it leaves made.
         tube: boxes that hold the object.
         effort: J of the motions if nothing deviates [m^2/s].
-        bound: proven lower bound of J [m^2/s].
+        bound: proven lower bound of J; None on a constant grid [m^2/s].
         word: robot that hits at every event of the grid; empty where none does.
     """
 
@@ -39,7 +39,7 @@ class RobustEvents:
     needs: tuple[Requirement, ...]
     tube: Tube
     effort: float
-    bound: float
+    bound: float | None
     word: tuple[str, ...]
 
 
@@ -49,7 +49,8 @@ def minimise_robust_effort(
     r"""Return the impacts of least effort that bear a deviation.
 
     J = sum over legs and axes of D^2 / T between the middles of boxes, as tangent planes
-    D^2 / T >= 2 q D - q^2 T in the mixed-integer problem and exactly in the cone program for its integers.
+    D^2 / T >= 2 q D - q^2 T in the mixed-integer problem and exactly in the cone program for its integers. On a
+    constant grid, which has impacts to spare, the fewest impacts come first.
 
     Args:
         task: what is asked.
@@ -66,14 +67,17 @@ def minimise_robust_effort(
         SolverFailed: out of time.
     """
     grid, choices = task.build_choices(shape, delta)
-    shares = _add_effort(grid)
     for word in forbidden:
         _forbid(grid, word)
+    if task.segments is not None:
+        grid.model.objective = sum((hit for hits in grid.hits for hit in hits.values()), Affine({}))
+        fewest = solve_mixed_integer(grid.model, time_limit).x
+        shares = _add_effort(grid)
+        x = np.concatenate([fewest, np.zeros(len(grid.model.lower) - len(fewest))])
+        return _read_events(task, grid, choices, solve_cones(grid.model, x, shares), None)
+    shares = _add_effort(grid)
     relaxed = solve_mixed_integer(grid.model, time_limit, RELATIVE_GAP)
-    if task.segments is None:
-        x = _solve_on_steps(task, shape, delta, grid, relaxed.x, shares)
-    else:
-        x = solve_cones(grid.model, relaxed.x, shares)
+    x = _solve_on_steps(task, shape, delta, grid, relaxed.x, shares)
     return _read_events(task, grid, choices, x, max(0.0, relaxed.bound))
 
 
@@ -133,7 +137,9 @@ def _add_effort(grid: HullGrid) -> list[tuple[Affine, Affine, Affine]]:
     return shares
 
 
-def _read_events(task: RobustTask, grid: HullGrid, choices: Choices, x: np.ndarray, bound: float) -> RobustEvents:
+def _read_events(
+    task: RobustTask, grid: HullGrid, choices: Choices, x: np.ndarray, bound: float | None
+) -> RobustEvents:
     """Return the impacts in numbers; boundaries of a constant grid at which nobody hits are none."""
     legs = evaluate(grid.legs, x)
     times = np.concatenate([[0.0], np.round(np.cumsum(legs), 9)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from planners.mixed_integer import Model, evaluate, solve_mixed_integer
 
 TOLERANCE = 2e-3  # of the greatest deviation, relative
 ROUGH = 0.1  # the same while numbers of impacts are compared
+WORTH = 0.2  # what more impacts have to bring, relative
 SMALLEST = 1e-4  # deviation that counts [m/s]
 FAMILIES = ((1, False), (2, True))  # pieces per leg, and whether areas may be reached between impacts
 
@@ -90,7 +91,7 @@ class DeviationOptimum:
     Args:
         shape: of the grid that bears most.
         delta: greatest deviation found [m/s].
-        bound: proven upper bound of it, over the numbers of impacts settled in time [m/s].
+        bound: proven upper bound of it, over the numbers of impacts tried [m/s].
     """
 
     shape: Shape
@@ -99,13 +100,13 @@ class DeviationOptimum:
 
 
 def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) -> DeviationOptimum:
-    """Return the greatest deviation over numbers of impacts, the fewest within a tenth of it.
+    """Return the greatest deviation over numbers of impacts, where more impacts have to bring a fifth more.
 
     What bears a deviation bears every smaller one, so one deviation proven infeasible bounds all above it.
-    Numbers of impacts are compared up to a tenth, those beyond the first that serves in a quarter of the time
-    limit; then the best is bisected. The search ends early at what no plan with any number of impacts can
-    exceed: its last leg alone spreads the object by the gap times the deviation. On a constant grid the
-    deviation is a variable of one mixed-integer problem.
+    Numbers of impacts are compared roughly, those beyond the first that serves in a quarter of the time limit;
+    then the best is bisected. The search ends early where a fifth more would exceed what no plan with any number of
+    impacts can bear: its last leg alone spreads the object by the gap times the deviation. On a constant grid the deviation is a
+    variable of one mixed-integer problem.
 
     Args:
         task: what is asked.
@@ -124,28 +125,27 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
         return _solve_grid(task, task.segments, time_limit)
     ceiling = compute_ceiling(task)
     for pieces, passing in FAMILIES:
-        best, bound = None, 0.0
+        best: DeviationOptimum | None = None
+        bounds: dict[Shape, float] = {}
         for impacts in range(1, max_impacts + 1):
-            shape, known = Shape(impacts, pieces, passing), best.delta if best else 0.0
+            shape, wanted = Shape(impacts, pieces, passing), best.delta * (1.0 + WORTH) if best else 0.0
+            if wanted >= ceiling:
+                break
             left = (0.25 if best else 1.0) * time_limit - (time.perf_counter() - start)
             try:
-                delta, high = search_deviation(task, shape, known, ceiling, ROUGH, left)
+                delta, bounds[shape] = search_deviation(task, shape, wanted, ceiling, ROUGH, left)
             except SolverFailed:
                 if best is None:
                     raise
                 break
-            if delta > known:
-                best = DeviationOptimum(shape, delta, high)
-            else:
-                bound = max(bound, high)
-            if delta * (1.0 + TOLERANCE) >= ceiling:
-                return DeviationOptimum(shape, delta, ceiling)
+            if delta > wanted:
+                best = DeviationOptimum(shape, delta, bounds[shape])
         if best is not None:
             left = time_limit - (time.perf_counter() - start)
             with suppress(SolverFailed):
-                delta, high = search_deviation(task, best.shape, best.delta, best.bound, TOLERANCE, left)
-                best = DeviationOptimum(best.shape, delta, high)
-            return DeviationOptimum(best.shape, best.delta, max(bound, best.bound))
+                delta, bounds[best.shape] = search_deviation(task, best.shape, best.delta, best.bound, TOLERANCE, left)
+                best = DeviationOptimum(best.shape, delta, bounds[best.shape])
+            return replace(best, bound=max(bounds.values()))
     status = f"proven that no plan with up to {max_impacts} impacts bears a deviation of {SMALLEST:g} m/s"
     raise Infeasible(f"plan of {task.scenario.name}", status, "allow more impacts or time, or relax the formula")
 
@@ -162,7 +162,7 @@ def search_deviation(
     Args:
         task: what is asked.
         shape: of the grid.
-        known: deviation that is borne already, by this shape or another [m/s].
+        known: deviation beyond which to look [m/s].
         high: known upper bound [m/s].
         tolerance: relative.
         time_limit: wall time [s].
@@ -175,7 +175,7 @@ def search_deviation(
     """
     start = time.perf_counter()
     low, near = known, True
-    target = min(known * (1.0 + tolerance) or SMALLEST, high)
+    target = min(known * (1.0 + TOLERANCE) or SMALLEST, high)
     while True:
         try:
             grid = task.build(shape, target)

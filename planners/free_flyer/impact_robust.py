@@ -12,7 +12,7 @@ import numpy as np
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
-from planners.errors import PlanningError
+from planners.errors import Infeasible, PlanningError
 from planners.free_flyer.geometric_bound import compute_geometric_bound
 from planners.free_flyer.hull_effort import RobustEvents, minimise_robust_effort
 from planners.free_flyer.hull_grid import Conditions
@@ -31,7 +31,7 @@ HALVINGS = 2  # of the reserves, where a task leaves no room for them
 # prove too quick to be smoothed.
 CALMER = ((1.0, 0.0), (1.25, 0.05), (1.5, 0.1))
 MORE_WORDS = 2  # other sequences of hitting robots that are tried then
-SHARES = (1.0, 0.75)  # of the share of the deviation, where no motions bear it
+SHARES = (1.0, 0.75, 0.5)  # of the share of the deviation, where no motions bear it
 
 
 @dataclass
@@ -94,7 +94,8 @@ def make_impact_robust_plan(
         time_grid: number of segments of the paper's constant grid, on which boxes are taken anew at every boundary;
             implies `points`.
         as_published: with the error of the published code, no impact at the grid's last boundary.
-        share: of the greatest deviation that the plan is made for; 0.75 of it is tried where motions fail.
+        share: of the greatest deviation that the plan is made for; three quarters and half of it
+            are tried where motions fail.
         gap: least time between impacts and after the last one; None: that of the reserves [s].
         final_velocity: greatest speed per axis at the horizon of an object that has to rest [m/s].
         initial: half widths of the box the object starts in [m].
@@ -122,22 +123,19 @@ def make_impact_robust_plan(
     conditions = Conditions(gap, final_velocity, initial, margin, points, gather=not points)
     _check_conditions(scenario, conditions)
     _check_formula(scenario, reserves)
-    failure: PlanningError | None = None
-    for _ in range(HALVINGS + 1):
+    for last in [False] * HALVINGS + [True]:
         task = RobustTask(
             scenario, read_demands(scenario, reserves.wall), conditions, reserves, time_grid, as_published
         )
         try:
             with clock.stage("deviation"):
                 optimum = maximise_deviation(task, max_impacts, time_limit - clock.elapsed)
-            return _plan_responses(task, optimum, share, runs, seed, clock)
-        except PlanningError as error:
-            failure = failure or error
-        if clock.elapsed >= time_limit:
             break
-        reserves = reserves.halved()
-    assert failure is not None
-    raise failure
+        except Infeasible:
+            if last:
+                raise
+            reserves = reserves.halved()
+    return _plan_responses(task, optimum, share, runs, seed, clock)
 
 
 def _plan_responses(
@@ -147,7 +145,9 @@ def _plan_responses(
     failure: PlanningError | None = None
     for less in SHARES:
         forbidden: list[tuple[str, ...]] = []
-        for slower, room in (*CALMER, *[CALMER[-1]] * MORE_WORDS):
+        # Robots on a constant grid turn in no time, as in the paper: nothing makes them calmer.
+        calmness = CALMER if task.segments is None else CALMER[-1:]
+        for slower, room in (*calmness, *[CALMER[-1]] * MORE_WORDS):
             calm = _calm(task, slower, room)
             delta, left = less * share * optimum.delta, clock.limit - clock.elapsed
             try:
@@ -174,10 +174,12 @@ def _finish(
     with clock.stage("smoothing"):
         responses = make_responses(scenario, sequence, events.needs, margin, task.reserves)
     with clock.stage("validation"):
-        check_responses(responses, margin, runs, seed)
+        # Impacts fall on samples: on control steps, or on boundaries of the constant grid.
+        segments = task.segments or 1
+        samples = segments * int(np.ceil(scenario.horizon / segments / scenario.control_period - 1e-9))
+        check_responses(responses, margin, runs, seed, samples)
         robots, objects = _make_nominal(responses)
-        count = round(scenario.horizon / scenario.control_period) * SUBSTEPS
-        times = np.arange(count + 1) * (scenario.control_period / SUBSTEPS)
+        times = np.linspace(0.0, scenario.horizon, samples * SUBSTEPS + 1)
         positions = {name: curve.position(times) for name, curve in (robots | objects).items()}
         rho = compute_robustness(scenario, times, positions)
     bound = max(rho, compute_geometric_bound(scenario, task.demands))

@@ -116,7 +116,7 @@ def _recoil_share(responses: Responses, robot: str) -> float:
     return 0.0 if sequence.points else scenario.objects[sequence.object].mass / scenario.robots[robot].mass
 
 
-def check_responses(responses: Responses, margin: float, runs: int, seed: int) -> float:
+def check_responses(responses: Responses, margin: float, runs: int, seed: int, samples: int) -> float:
     """Simulate the closed loop and raise unless every run keeps every promise.
 
     Promised are: the object is in its boxes at impacts and at the horizon and keeps its speed limit; robots keep
@@ -128,6 +128,7 @@ def check_responses(responses: Responses, margin: float, runs: int, seed: int) -
         margin: robustness promised in every run [m].
         runs: number of runs; the deviations of half of them are at the vertices.
         seed: of the randomness.
+        samples: number of equal steps to the horizon at which distances and the formula are looked at.
 
     Returns:
         The least robustness of all runs [m].
@@ -141,7 +142,7 @@ def check_responses(responses: Responses, margin: float, runs: int, seed: int) -
     found = simulate_runs(responses, starts, deviations)
     _check_object(responses, found)
     _check_robots(responses, found)
-    times = np.arange(round(scenario.horizon / scenario.control_period) + 1) * scenario.control_period
+    times = np.linspace(0.0, scenario.horizon, samples + 1)
     bodies = {name: _sample(responses.times, points, times) for name, points in found.robots.items()}
     bodies[sequence.object] = _fly(sequence.times, found.positions, times)
     _check_distances(responses, bodies)

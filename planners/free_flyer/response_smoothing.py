@@ -84,7 +84,8 @@ def make_responses(
         points, worst = _solve_round(problem, points)
         short = max(worst[kind] - limit for kind, limit in allowed.items())
         # Rounds serve until the sides they are given are the ones that they find, or nothing improves.
-        if (short <= 0.0 and (before <= 0.0 or sequence.points)) or (0.9 * before < short < np.inf and before > 0.0):
+        settled = short <= 0.0 and (before <= 0.0 or sequence.points)
+        if settled or 0.0 < 0.9 * before < short:
             break
     for kind, limit in allowed.items():
         if worst[kind] > limit:
