@@ -105,8 +105,8 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
     What bears a deviation bears every smaller one, so one deviation proven infeasible bounds all above it.
     Numbers of impacts are compared roughly, those beyond the first that serves in a quarter of the time limit;
     then the best is bisected. The search ends early where a fifth more would exceed what no plan with any number of
-    impacts can bear: its last leg alone spreads the object by the gap times the deviation. On a constant grid the deviation is a
-    variable of one mixed-integer problem.
+    impacts can bear: its last leg alone spreads the object by the gap times the deviation. On a constant grid the
+    deviation is a variable of one mixed-integer problem.
 
     Args:
         task: what is asked.
