@@ -258,7 +258,7 @@ def compute_leg_caps(
     for robot in scenario.robots.values():
         m1, m2, m3, m4 = compute_mass_fractions(robot.mass, body.mass, scenario.believed.restitution)
         limit = robot.speed_limit if conditions.points else reserves.cruise(robot)
-        through = abs(m2 - m1 * m4 / m3)
+        through = max(abs(m2 - m1 * m4 / m3), 1e-9)
         between = limit / max((1 + abs(m4)) / m3, abs(m1) / m3 + through)
         before, after = [between] * impacts, [between] * impacts
         after[0] = limit / max(1 / m3, abs(m1) / m3)
@@ -381,12 +381,15 @@ def _cone_limits() -> tuple[np.ndarray, np.ndarray]:
 
 def _add_speed_rows(grid: HullGrid, gather: bool) -> None:
     """Let every robot get from anywhere in its box to anywhere in the next one, starting and stopping included."""
-    for piece in range(grid.count):
-        for name, speed in grid.speeds.items():
-            here, there = grid.stands[name][piece : piece + 2]
-            farthest = (grid.duration(piece) - grid.turns[name]) * speed
-            for d in range(2):
-                grid.model.require(there.upper[d] - here.lower[d] - farthest)
-                grid.model.require(here.upper[d] - there.lower[d] - farthest)
-                for box in (here, there) if gather else ():
-                    grid.model.require(box.upper[d] - box.lower[d] - farthest)
+    for piece, (name, speed) in itertools.product(range(grid.count), grid.speeds.items()):
+        here, there = grid.stands[name][piece : piece + 2]
+        turn, hits = grid.turns[name], [grid.hits_at(knot).get(name) for knot in (piece, piece + 1)]
+        steps = [*(there.upper - here.lower), *(here.upper - there.lower)]
+        for step in steps:
+            grid.model.require(step - (grid.duration(piece) - turn) * speed)
+        if gather and all(hits):
+            # All its motions meet in one point, where it stops once more.
+            widths = [*(here.upper - here.lower), *(there.upper - there.lower)]
+            for step in (*steps, *widths):
+                row = step - (grid.duration(piece) - 2.0 * turn) * speed
+                grid.model.require(row, unless=2.0 - hits[0] - hits[1])  # type: ignore[operator]

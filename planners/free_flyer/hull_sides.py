@@ -50,7 +50,7 @@ def _least_push(grid: HullGrid, scenario: FreeFlyerScenario) -> Affine | float:
     They part at e (m_R + m_O) / ((1 + e) m_R) |v^+ - v^-|, less delta for the object and m_O / m_R delta for
     the robot.
     """
-    e = max(scenario.believed.restitution, 0.1)
+    e = max(scenario.believed.restitution, 1e-3)
     return grid.delta * ((1.0 + e) / e) + LEAST_PUSH
 
 

@@ -144,17 +144,17 @@ def _plan_responses(
     """Try calmer and calmer plans, then other sequences of robots, until one can be smoothed and passes the check."""
     failure: PlanningError | None = None
     for less in SHARES:
-        forbidden: list[tuple[str, ...]] = []
+        failed: list[tuple[str, ...]] = []
         # Robots on a constant grid turn in no time, as in the paper: nothing makes them calmer.
-        calmness = CALMER if task.segments is None else CALMER[-1:]
-        for slower, room in (*calmness, *[CALMER[-1]] * MORE_WORDS):
+        same = CALMER if task.segments is None else CALMER[:1]
+        for number, (slower, room) in enumerate((*same, *CALMER[:MORE_WORDS])):
             calm = _calm(task, slower, room)
+            forbidden = failed if number >= len(same) else []
             delta, left = less * share * optimum.delta, clock.limit - clock.elapsed
             try:
                 with clock.stage("effort"):
                     events = minimise_robust_effort(calm, optimum.shape, delta, forbidden, 0.5 * left)
-                if room == CALMER[-1][1]:
-                    forbidden.append(events.word)
+                failed.append(events.word)
                 return _finish(task, optimum, events, runs, seed, clock)
             except PlanningError as error:
                 failure = failure or error

@@ -22,7 +22,7 @@ from planners.free_flyer.hull_sequence import (
     compute_vertices,
 )
 
-SETTLE = 8.0  # longest time a robot takes to leave, or to return to, its responses round an impact [s]
+SETTLE = 10.0  # longest time a robot takes to leave, or to return to, its responses round an impact [s]
 
 
 @dataclass(frozen=True)
@@ -73,24 +73,32 @@ def make_breakpoints(events: np.ndarray) -> np.ndarray:
     """Return breakpoints, dense near events, the middle of every leg among them."""
     times = [0.0]
     for start, end in itertools.pairwise(events):
-        count = 2 * int(np.clip(np.ceil((end - start) / 5.0), 2, 6))
+        count = 2 * int(np.clip(np.ceil((end - start) / 4.0), 3, 6))
         times += [*(start + (end - start) * (1 - np.cos(np.pi * np.arange(1, count) / count)) / 2), end]
     return np.array(times)
 
 
 def make_windows(sequence: HullSequence, times: np.ndarray, robot: str) -> tuple[Window, ...]:
-    """A box decides from its previous impact on; if that is the robot's own, from halfway on."""
+    """Return when a robot answers its impacts.
+
+    The box of an impact decides from the object's previous impact on; if that is the robot's own, the four
+    curves meet halfway first. Exact contact is prepared for as soon as it is known where it will be.
+
+    Args:
+        sequence: the impacts.
+        times: breakpoints of the curves, shape (S+1,) [s].
+        robot: its name.
+    """
     own = [k for k, name in enumerate(sequence.hitters, start=1) if name == robot]
-    starts = []
-    for k in own:
-        previous, event = sequence.times[k - 1 : k + 1]
-        starts.append(0.5 * (previous + event) if k - 1 in own else float(previous))
+    starts = [float(np.mean(sequence.times[k - 1 : k + 1]) if k - 1 in own else sequence.times[k - 1]) for k in own]
+    ends = [*starts, float(sequence.times[-1])][1:]
+    back = [*(sequence.times[k] for k in own), float(sequence.times[-1])][1:]
     windows = []
-    for k, start, end in zip(own, starts, [*starts, float(sequence.times[-1])][1:], strict=True):
+    for k, start, end, latest in zip(own, starts, ends, back, strict=True):
         event = int(np.abs(times - sequence.times[k]).argmin())
-        near = np.flatnonzero((np.abs(times - times[event]) <= SETTLE) & (times > start - 1e-6) & (times < end + 1e-6))
-        before, after = min(near[0], event - 1), max(near[-1], event + 1)
-        windows.append(Window(k, start, end, int(before), event, int(after)))
+        free = (times > sequence.times[k - 1] - 1e-6) & (times < latest + 1e-6)
+        near = np.flatnonzero(free & (np.abs(times - times[event]) <= SETTLE))
+        windows.append(Window(k, start, end, int(min(near[0], event - 1)), event, int(max(near[-1], event + 1))))
     return tuple(windows)
 
 
