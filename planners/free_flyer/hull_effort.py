@@ -18,7 +18,7 @@ from planners.mixed_integer import Affine, evaluate, solve_mixed_integer
 from planners.plan import Tube
 
 TANGENTS = 12  # perspective cuts per sign
-RELATIVE_GAP = 0.05
+RELATIVE_GAP = 0.02
 SPARES = (1.01, 1.0)  # of the deviation while times are found that are then rounded to control steps
 
 
