@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -14,6 +11,7 @@ import numpy as np
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.errors import Infeasible, PlanningError, SolverFailed
+from planners.free_flyer.budget import Budget
 from planners.free_flyer.clearance_rows import solve_apart
 from planners.free_flyer.diagnosis import find_relaxation
 from planners.free_flyer.effort import EffortOptimum, minimise_effort, read_events
@@ -60,40 +58,6 @@ class RobustnessOptimum:
     words: tuple[Word, ...] = ()
     effort_bound: float = 0.0
     events: EffortOptimum | None = None
-
-
-@dataclass
-class Budget:
-    """Hold what planning may use, and measure what its stages took.
-
-    Args:
-        limit: wall time for everything [s].
-        solver: of mixed-integer models.
-    """
-
-    limit: float
-    solver: str = "highs"
-    start: float = field(default_factory=time.perf_counter)
-    stages: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Add the time spent inside to a stage."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.stages[name] = self.stages.get(name, 0.0) + time.perf_counter() - start
-
-    @property
-    def elapsed(self) -> float:
-        """Return the time since the budget was made [s]."""
-        return time.perf_counter() - self.start
-
-    @property
-    def left(self) -> float:
-        """Return the time left [s]."""
-        return self.limit - self.elapsed
 
 
 def make_free_flyer_plan(

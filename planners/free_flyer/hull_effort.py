@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planners.cones import solve_cones
-from planners.errors import Infeasible, PlanningError
+from planners.errors import Infeasible
 from planners.free_flyer.choices import Choices
 from planners.free_flyer.hull_grid import HullGrid
 from planners.free_flyer.hull_search import RobustTask, Shape
@@ -18,8 +18,8 @@ from planners.mixed_integer import Affine, evaluate, solve_mixed_integer
 from planners.plan import Tube
 
 TANGENTS = 12  # perspective cuts per sign
-RELATIVE_GAP = 0.02
-SPARES = (1.01, 1.0)  # of the deviation while times are found that are then rounded to control steps
+RELATIVE_GAP = 0.05
+STEPS = 10  # control steps by which impacts may move to fall on one
 
 
 @dataclass(frozen=True)
@@ -97,23 +97,28 @@ def _solve_on_steps(
 ) -> np.ndarray:
     """Return the point of least effort, given integers, whose impacts fall on control steps.
 
-    The environment samples there. Rounding moves the boxes, so times are first looked for with a little more
-    deviation.
+    The environment samples there. Rounding would move the boxes out of their areas, so the steps next to the best
+    times are integers of another problem.
     """
-    period, failure = task.scenario.control_period, ""
-    for spare in SPARES:
-        try:
-            roomy = task.build(shape, delta * spare)
-            found = solve_cones(roomy.model, x, _add_effort(roomy))
-            times = np.cumsum(evaluate(roomy.legs, found))
-            legs = np.diff(np.round(np.round(times / period) * period, 9), prepend=0.0)
-            for leg, duration in zip(grid.legs, legs, strict=True):
-                (i,) = leg.coefficients  # type: ignore[union-attr]
-                grid.model.lower[i] = grid.model.upper[i] = float(duration)
-            return solve_cones(grid.model, x, shares)
-        except PlanningError as error:
-            failure = str(error)
-    raise Infeasible(grid.model.name, f"no impacts on control steps ({failure})", "shorten the control period")
+    period = task.scenario.control_period
+    times = evaluate(grid.times[grid.pieces : -1 : grid.pieces], solve_cones(grid.model, x, shares))
+    stepped = task.build(shape, delta)
+    _add_effort(stepped)
+    model = stepped.model
+    for i in np.flatnonzero(model.integer):
+        model.lower[i] = model.upper[i] = float(round(x[i]))
+    for time, step in zip(stepped.times[grid.pieces : -1 : grid.pieces], np.round(times / period), strict=True):
+        model.require_equal(time - model.variable(step - STEPS, step + STEPS, integer=True) * period)
+    try:
+        found = solve_mixed_integer(model, np.inf, RELATIVE_GAP).x
+    except Infeasible:
+        status = f"no impacts on control steps within {STEPS * period:g} s of the best times"
+        raise Infeasible(grid.model.name, status, "shorten the control period") from None
+    ends = np.round(np.round(np.cumsum(evaluate(stepped.legs, found)) / period) * period, 9)
+    for leg, duration in zip(grid.legs, np.diff(ends, prepend=0.0), strict=True):
+        (column,) = leg.coefficients  # type: ignore[union-attr]
+        grid.model.lower[column] = grid.model.upper[column] = float(duration)
+    return solve_cones(grid.model, x, shares)
 
 
 def _add_effort(grid: HullGrid) -> list[tuple[Affine, Affine, Affine]]:

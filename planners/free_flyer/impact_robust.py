@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +10,7 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
 from planners.errors import Infeasible, PlanningError
+from planners.free_flyer.budget import Budget
 from planners.free_flyer.geometric_bound import compute_geometric_bound
 from planners.free_flyer.hull_effort import RobustEvents, minimise_robust_effort
 from planners.free_flyer.hull_grid import Conditions
@@ -32,27 +30,6 @@ HALVINGS = 2  # of the reserves, where a task leaves no room for them
 CALMER = ((1.0, 0.0), (1.25, 0.05), (1.5, 0.1))
 MORE_WORDS = 2  # other sequences of hitting robots that are tried then
 SHARES = (1.0, 0.75, 0.5)  # of the share of the deviation, where no motions bear it
-
-
-@dataclass
-class _Clock:
-    """Measure stages, and what is left of a time limit [s]."""
-
-    limit: float
-    start: float = field(default_factory=time.perf_counter)
-    stages: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.stages[name] = self.stages.get(name, 0.0) + time.perf_counter() - start
-
-    @property
-    def elapsed(self) -> float:
-        return time.perf_counter() - self.start
 
 
 def make_impact_robust_plan(
@@ -118,7 +95,7 @@ def make_impact_robust_plan(
     _check_arguments(scenario, max_impacts, time_limit, time_grid, share, runs)
     points = points or time_grid is not None
     scenario = _shrink(scenario) if points else scenario
-    clock = _Clock(time_limit)
+    budget = Budget(time_limit)
     gap = reserves.times(scenario.horizon)[1] if gap is None else gap
     conditions = Conditions(gap, final_velocity, initial, margin, points, gather=not points)
     _check_conditions(scenario, conditions)
@@ -128,18 +105,18 @@ def make_impact_robust_plan(
             scenario, read_demands(scenario, reserves.wall), conditions, reserves, time_grid, as_published
         )
         try:
-            with clock.stage("deviation"):
-                optimum = maximise_deviation(task, max_impacts, time_limit - clock.elapsed)
+            with budget.stage("deviation"):
+                optimum = maximise_deviation(task, max_impacts, time_limit - budget.elapsed)
             break
         except Infeasible:
             if last:
                 raise
             reserves = reserves.halved()
-    return _plan_responses(task, optimum, share, runs, seed, clock)
+    return _plan_responses(task, optimum, share, runs, seed, budget)
 
 
 def _plan_responses(
-    task: RobustTask, optimum: DeviationOptimum, share: float, runs: int, seed: int, clock: _Clock
+    task: RobustTask, optimum: DeviationOptimum, share: float, runs: int, seed: int, budget: Budget
 ) -> Plan:
     """Try calmer and calmer plans, then other sequences of robots, until one can be smoothed and passes the check."""
     failure: PlanningError | None = None
@@ -150,12 +127,12 @@ def _plan_responses(
         for number, (slower, room) in enumerate((*same, *CALMER[:MORE_WORDS])):
             calm = _calm(task, slower, room)
             forbidden = failed if number >= len(same) else []
-            delta, left = less * share * optimum.delta, clock.limit - clock.elapsed
+            delta, left = less * share * optimum.delta, budget.limit - budget.elapsed
             try:
-                with clock.stage("effort"):
-                    events = minimise_robust_effort(calm, optimum.shape, delta, forbidden, 0.5 * left)
+                with budget.stage("effort"):
+                    events = minimise_robust_effort(calm, optimum.shape, delta, forbidden, 0.2 * left)
                 failed.append(events.word)
-                return _finish(task, optimum, events, runs, seed, clock)
+                return _finish(task, optimum, events, runs, seed, budget)
             except PlanningError as error:
                 failure = failure or error
     assert failure is not None
@@ -168,12 +145,12 @@ def _calm(task: RobustTask, slower: float, room: float) -> RobustTask:
 
 
 def _finish(
-    task: RobustTask, optimum: DeviationOptimum, events: RobustEvents, runs: int, seed: int, clock: _Clock
+    task: RobustTask, optimum: DeviationOptimum, events: RobustEvents, runs: int, seed: int, budget: Budget
 ) -> Plan:
     scenario, sequence, margin = task.scenario, events.sequence, task.conditions.margin
-    with clock.stage("smoothing"):
+    with budget.stage("smoothing"):
         responses = make_responses(scenario, sequence, events.needs, margin, task.reserves)
-    with clock.stage("validation"):
+    with budget.stage("validation"):
         # Impacts fall on samples: on control steps, or on boundaries of the constant grid.
         segments = task.segments or 1
         samples = segments * int(np.ceil(scenario.horizon / segments / scenario.control_period - 1e-9))
@@ -195,8 +172,8 @@ def _finish(
         impacts=_make_impacts(scenario, sequence),
         robots=robots,
         objects=objects,
-        solve_seconds=clock.elapsed,
-        stage_seconds=dict(clock.stages),
+        solve_seconds=budget.elapsed,
+        stage_seconds=dict(budget.stages),
         validated=True,
         deviation=sequence.delta,
         deviation_bound=optimum.bound,
