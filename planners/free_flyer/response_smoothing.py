@@ -77,7 +77,8 @@ def make_responses(
     """
     problem = _build_problem(scenario, sequence, needs, margin, reserves)
     points = {robot: np.stack([_interpolate_knots(problem, robot, i) for i in range(4)]) for robot in scenario.robots}
-    allowed = {"area": 1e-6, "clearance": 0.5 * reserves.clearance + 1e-6}
+    # Walls and clearance are reserves that may be spent; the simulation of the closed loop knows what must not.
+    allowed = {"area": 1e-6, "wall": reserves.wall + 1e-6, "clearance": 0.5 * reserves.clearance + 1e-6}
     short = np.inf
     for _ in range(ROUNDS):
         before = short
@@ -163,7 +164,7 @@ def _solve_round(problem: _Problem, points: dict[str, np.ndarray]) -> tuple[dict
             states = x[rows.starts[_key(robot, i)] :][: 2 * spline.size].reshape(2, -1).T
             curves.append(spline.position.apply(states).reshape(-1, DEGREE + 1, 2))
         found[robot] = np.stack(curves)
-    return found, {kind: rows.violation(x, kind) for kind in ("area", "clearance")}
+    return found, {kind: rows.violation(x, kind) for kind in ("area", "wall", "clearance")}
 
 
 def _make_cost(splines: dict[str, QuinticSpline], slacks: int) -> tuple[sparse.csc_matrix, np.ndarray]:
@@ -247,7 +248,7 @@ def _add_areas(rows: SplineRows, problem: _Problem, name: str, points: np.ndarra
         edge = (scenario.world.upper if sign > 0 else scenario.world.lower)[axis] * sign
         ends = [robot.start[axis], robot.start[axis] if robot.goal is None else robot.goal[axis]]
         inset = min(robot.radius + problem.reserves.wall, edge - max(sign * end for end in ends))
-        _add_halfspaces(rows, problem, name, np.broadcast_to(face, shape), edge - inset - taken[..., axis])
+        _add_halfspaces(rows, problem, name, np.broadcast_to(face, shape), edge - inset - taken[..., axis], "wall")
     for need in problem.needs:
         if need.body != name:
             continue
@@ -257,21 +258,24 @@ def _add_areas(rows: SplineRows, problem: _Problem, name: str, points: np.ndarra
         if need.kind == "stay":
             for face, bound in zip(need.faces, need.bounds, strict=True):
                 limit = np.where(active[:, None], bound - problem.margin - taken @ np.abs(face), np.inf)
-                _add_halfspaces(rows, problem, name, np.broadcast_to(face, shape), limit)
+                _add_halfspaces(rows, problem, name, np.broadcast_to(face, shape), limit, "area")
         else:
             beyond = (points @ need.faces.T - need.bounds).min(axis=(0, 2))
             faces = -need.faces[beyond.argmax(axis=1)]
             limit = -need.bounds[beyond.argmax(axis=1)] - need.margin(problem.margin)
             limit = limit[:, None] - np.sum(taken * np.abs(faces)[:, None], axis=2)
             limit = np.where(active[:, None], limit, np.inf)
-            _add_halfspaces(rows, problem, name, np.broadcast_to(faces[:, None], shape), limit)
+            kind = "wall" if need.clearance > problem.margin + problem.reserves.wall else "area"
+            _add_halfspaces(rows, problem, name, np.broadcast_to(faces[:, None], shape), limit, kind)
 
 
-def _add_halfspaces(rows: SplineRows, problem: _Problem, name: str, normals: np.ndarray, limits: np.ndarray) -> None:
+def _add_halfspaces(
+    rows: SplineRows, problem: _Problem, name: str, normals: np.ndarray, limits: np.ndarray, kind: str
+) -> None:
     """Add normals . p <= limits on the control points of all four curves."""
     for i in range(4):
         part = problem.splines[_key(name, i)].position
-        rows.add([(_key(name, i), part, normals.reshape(-1, 2))], limits.ravel(), "area")
+        rows.add([(_key(name, i), part, normals.reshape(-1, 2))], limits.ravel(), kind)
 
 
 def _add_object_clearance(rows: SplineRows, problem: _Problem, name: str, points: np.ndarray) -> None:
