@@ -7,7 +7,7 @@ import pytest
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import build_scenario
-from planners.errors import Infeasible
+from planners.errors import PlanningError
 from planners.free_flyer.event_milp import make_free_flyer_plan
 from planners.free_flyer.validation import Tolerances, check_plan
 from planners.plan import Plan
@@ -108,8 +108,9 @@ def _check_plans(seeds: range, wanted: int) -> Counter[str]:
         scenario = draw_scenario(seed)
         try:
             plan = make_free_flyer_plan(scenario, max_impacts=4)
-        except Infeasible:
-            outcomes["infeasible"] += 1
+        except PlanningError as error:
+            assert error.problem != "plan check", f"seed {seed}: {error}"
+            outcomes["given up"] += 1
             continue
         _check(scenario, plan)
         outcomes["planned"] += 1
@@ -121,14 +122,14 @@ def _check_plans(seeds: range, wanted: int) -> Counter[str]:
 def test_plans_of_random_scenarios_keep_their_promises() -> None:
     outcomes = _check_plans(range(1000, 1100), 6)
     assert outcomes["planned"] == 6
-    assert outcomes["infeasible"] <= 2
+    assert outcomes["given up"] <= 2
 
 
 @pytest.mark.slow
 def test_plans_of_two_hundred_random_scenarios_keep_their_promises() -> None:
     outcomes = _check_plans(range(5000, 6000), 200)
     assert outcomes["planned"] == 200
-    assert outcomes["infeasible"] <= 20
+    assert outcomes["given up"] <= 20
 
 
 def test_last_sample_of_a_horizon_that_no_float_holds_is_simulated() -> None:
