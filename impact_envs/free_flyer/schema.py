@@ -59,6 +59,8 @@ class Object(Body):
 
     vertices: tuple[Vector, ...] | None = None  # convex polygon in the body frame [m]; a disc without
     rest: bool = True  # must it be at rest at the horizon
+    start_uncertainty: tuple[NonNegative, NonNegative] = (0.0, 0.0)  # half widths of the box it may start in [m]
+    final_speed: Positive = 0.05  # per axis at the horizon, where impacts are uncertain and it has to rest [m/s]
 
     @model_validator(mode="after")
     def _shape(self) -> Self:
@@ -155,6 +157,7 @@ class FreeFlyerScenario(Scenario):
     robots: dict[str, Robot]
     objects: dict[str, Object]
     obstacles: dict[str, Obstacle] = {}
+    impact_gap: Positive | None = None  # least time between uncertain impacts, and after the last one [s]
     believed: Believed
     true: Truth = Truth()
 

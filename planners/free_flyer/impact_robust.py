@@ -41,8 +41,8 @@ def make_impact_robust_plan(
     as_published: bool = False,
     share: float = 0.8,
     gap: float | None = None,
-    final_velocity: float = 0.05,
-    initial: tuple[float, float] = (0.0, 0.0),
+    final_velocity: float | None = None,
+    initial: tuple[float, float] | None = None,
     margin: float = 0.0,
     points: bool = False,
     runs: int = 200,
@@ -73,9 +73,9 @@ def make_impact_robust_plan(
         as_published: with the error of the published code, no impact at the grid's last boundary.
         share: of the greatest deviation that the plan is made for; three quarters and half of it
             are tried where motions fail.
-        gap: least time between impacts and after the last one; None: that of the reserves [s].
-        final_velocity: greatest speed per axis at the horizon of an object that has to rest [m/s].
-        initial: half widths of the box the object starts in [m].
+        gap: least time between impacts and after the last one; None: that of the scenario, or of the reserves [s].
+        final_velocity: greatest speed per axis at the horizon of an object that rests; None: the scenario's [m/s].
+        initial: half widths of the box the object starts in; None: the scenario's [m].
         margin: robustness kept by the boxes and promised in every run [m].
         points: plan for bodies without extent.
         runs: simulated runs of the closed loop.
@@ -96,7 +96,11 @@ def make_impact_robust_plan(
     points = points or time_grid is not None
     scenario = _shrink(scenario) if points else scenario
     budget = Budget(time_limit)
-    gap = reserves.times(scenario.horizon)[1] if gap is None else gap
+    body = next(iter(scenario.objects.values()))
+    if gap is None:
+        gap = scenario.impact_gap or reserves.times(scenario.horizon)[1]
+    final_velocity = body.final_speed if final_velocity is None else final_velocity
+    initial = body.start_uncertainty if initial is None else initial
     conditions = Conditions(gap, final_velocity, initial, margin, points, gather=not points)
     _check_conditions(scenario, conditions)
     _check_formula(scenario, reserves)

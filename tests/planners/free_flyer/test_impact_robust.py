@@ -92,6 +92,14 @@ def test_a_longer_gap_leaves_less_deviation() -> None:
     assert long.delta <= compute_ceiling(_task("throw_and_catch", 10.0)) + 1e-9
 
 
+def test_scenario_says_gap_and_where_the_object_may_start() -> None:
+    values = {"impact_gap": 7.0, "objects.pop.start_uncertainty": [0.02, 0.01]}
+    plan = make_plan(load_scenario("throw_and_catch").override(values), "impact_uncertainty")
+    times = [*(hit.time for hit in plan.impacts), plan.horizon]
+    assert np.diff(times).min() >= 7.0 - 1e-9
+    np.testing.assert_allclose(plan.tubes["pop"].start[0, 1, :2], [0.02, 0.01], atol=1e-9)
+
+
 def test_what_bears_a_deviation_bears_half_of_it() -> None:
     task = _task("throw_and_catch", 5.0)
     optimum = maximise_deviation(task, 3, 60.0)
