@@ -258,7 +258,8 @@ def _check_formula(scenario: FreeFlyerScenario, reserves: Reserves) -> None:
 
 def _check_conditions(scenario: FreeFlyerScenario, conditions: Conditions) -> None:
     if not 0.0 < conditions.gap < scenario.horizon:
-        raise InputError(f"gap (impact_gap) is {conditions.gap} s, it must be above 0 and below the horizon {scenario.horizon} s")
+        limits = f"above 0 and below the horizon {scenario.horizon} s"
+        raise InputError(f"gap (impact_gap) is {conditions.gap} s, it must be {limits}")
     for key, values in (
         ("final_velocity", (conditions.final_velocity,)),
         ("initial", conditions.initial),
@@ -270,4 +271,5 @@ def _check_conditions(scenario: FreeFlyerScenario, conditions: Conditions) -> No
     for d, half in enumerate(conditions.initial):
         inset = body.radius + half
         if not scenario.world.lower[d] + inset <= body.start[d] <= scenario.world.upper[d] - inset:
-            raise InputError(f"initial (start_uncertainty) is {list(conditions.initial)} m, {name} would start outside the world")
+            box = list(conditions.initial)
+            raise InputError(f"initial (start_uncertainty) is {box} m, {name} would start outside the world")
