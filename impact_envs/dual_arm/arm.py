@@ -1,0 +1,179 @@
+"""Kinematics and dynamics of a planar arm with three joints, as scalar functions.
+
+Joint angles q are relative, absolute angles are their running sums a. Everything is written in a, where the mass matrix
+is H_ij = C_ij cos(a_i - a_j); a joint torque tau acts there as (tau_1 - tau_2, tau_2 - tau_3, tau_3).
+An arm is one row of numbers: base x, y, lengths 1 to 3, C_11, C_12, C_13, C_22, C_23, C_33, gravity loads G_1 to G_3.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from impact_envs.errors import InputError
+
+Three = tuple[float, float, float]
+# Places in an arm's row.
+X, Y, L1, L2, L3, C11, C12, C13, C22, C23, C33, G1, G2, G3 = range(14)
+SIZE = 14
+
+
+def make_arm(
+    base: tuple[float, float], lengths: Three, masses: Three, centers: Three, inertias: Three, g: float
+) -> np.ndarray:
+    """Collect the numbers of one arm.
+
+    C_ii = I_i + m_i c_i^2 + (sum of later masses) l_i^2, C_ij = l_i (m_j c_j + (sum of masses after j) l_j), j > i;
+    G_i = g (m_i c_i + (sum of later masses) l_i).
+
+    Args:
+        base: of the first joint [m].
+        lengths: l_i of the links [m].
+        masses: m_i [kg].
+        centers: c_i, distance of each centre of mass from the link's joint [m].
+        inertias: I_i about the centres of mass [kg m^2].
+        g: gravity, along -y [m/s^2].
+
+    Returns:
+        Shape (14,).
+    """
+    later = [sum(masses[i + 1 :]) for i in range(3)]
+    load = [masses[i] * centers[i] + later[i] * lengths[i] for i in range(3)]
+    diagonal = [inertias[i] + masses[i] * centers[i] ** 2 + later[i] * lengths[i] ** 2 for i in range(3)]
+    couplings = [
+        diagonal[0],
+        lengths[0] * load[1],
+        lengths[0] * load[2],
+        diagonal[1],
+        lengths[1] * load[2],
+        diagonal[2],
+    ]
+    return np.array([*base, *lengths, *couplings, *(g * moment for moment in load)])
+
+
+@njit(cache=True)
+def compute_pose(arm: np.ndarray, q1: float, q2: float, q3: float) -> tuple[float, float, float]:
+    """Return position x, y [m] and angle [rad] of the arm's end."""
+    a1, a2, a3 = q1, q1 + q2, q1 + q2 + q3
+    x = arm[X] + arm[L1] * math.cos(a1) + arm[L2] * math.cos(a2) + arm[L3] * math.cos(a3)
+    y = arm[Y] + arm[L1] * math.sin(a1) + arm[L2] * math.sin(a2) + arm[L3] * math.sin(a3)
+    return x, y, a3
+
+
+@njit(cache=True)
+def solve_arm(
+    arm: np.ndarray, a1: float, a2: float, a3: float, w1: float, w2: float, w3: float, f1: float, f2: float, f3: float
+) -> tuple[float, float, float]:
+    """Return the absolute angular accelerations under generalised forces.
+
+    H a'' = f - b with b_i = sum_j C_ij sin(a_i - a_j) a_j'^2 + G_i cos(a_i).
+
+    Args:
+        arm: the arm's row.
+        a1, a2, a3: absolute angles [rad].
+        w1, w2, w3: their rates [rad/s].
+        f1, f2, f3: forces on the absolute angles [N m].
+
+    Returns:
+        a'' [rad/s^2].
+    """
+    s12, s13, s23 = arm[C12] * math.sin(a1 - a2), arm[C13] * math.sin(a1 - a3), arm[C23] * math.sin(a2 - a3)
+    u, v, w = w1 * w1, w2 * w2, w3 * w3
+    r1 = f1 - s12 * v - s13 * w - arm[G1] * math.cos(a1)
+    r2 = f2 + s12 * u - s23 * w - arm[G2] * math.cos(a2)
+    r3 = f3 + s13 * u + s23 * v - arm[G3] * math.cos(a3)
+    h11, h22, h33 = arm[C11], arm[C22], arm[C33]
+    h12, h13, h23 = arm[C12] * math.cos(a1 - a2), arm[C13] * math.cos(a1 - a3), arm[C23] * math.cos(a2 - a3)
+    m11, m12, m13 = h22 * h33 - h23 * h23, h13 * h23 - h12 * h33, h12 * h23 - h13 * h22
+    m22, m23, m33 = h11 * h33 - h13 * h13, h12 * h13 - h11 * h23, h11 * h22 - h12 * h12
+    d = 1.0 / (h11 * m11 + h12 * m12 + h13 * m13)
+    return (
+        d * (m11 * r1 + m12 * r2 + m13 * r3),
+        d * (m12 * r1 + m22 * r2 + m23 * r3),
+        d * (m13 * r1 + m23 * r2 + m33 * r3),
+    )
+
+
+@njit(cache=True)
+def compute_dynamics(arm: np.ndarray, q: np.ndarray, v: np.ndarray, M: np.ndarray, h: np.ndarray) -> None:
+    """Write M and h of M q'' + h = tau.
+
+    Args:
+        arm: the arm's row.
+        q: joint angles, shape (3,) [rad].
+        v: joint rates, shape (3,) [rad/s].
+        M: mass matrix, written, shape (3, 3) [kg m^2].
+        h: gravity and velocity terms, written, shape (3,) [N m].
+    """
+    a1, a2, a3 = q[0], q[0] + q[1], q[0] + q[1] + q[2]
+    w1, w2, w3 = v[0], v[0] + v[1], v[0] + v[1] + v[2]
+    s12, s13, s23 = arm[C12] * math.sin(a1 - a2), arm[C13] * math.sin(a1 - a3), arm[C23] * math.sin(a2 - a3)
+    h12, h13, h23 = arm[C12] * math.cos(a1 - a2), arm[C13] * math.cos(a1 - a3), arm[C23] * math.cos(a2 - a3)
+    h[2] = arm[G3] * math.cos(a3) - s13 * w1 * w1 - s23 * w2 * w2
+    h[1] = h[2] + arm[G2] * math.cos(a2) - s12 * w1 * w1 + s23 * w3 * w3
+    h[0] = h[1] + arm[G1] * math.cos(a1) + s12 * w2 * w2 + s13 * w3 * w3
+    M[2, 2] = arm[C33]
+    M[1, 2] = h23 + M[2, 2]
+    M[0, 2] = h13 + M[1, 2]
+    M[1, 1] = arm[C22] + h23 + M[1, 2]
+    M[0, 1] = h12 + h13 + M[1, 1]
+    M[0, 0] = arm[C11] + h12 + h13 + M[0, 1]
+    M[1, 0], M[2, 0], M[2, 1] = M[0, 1], M[0, 2], M[1, 2]
+
+
+@njit(cache=True)
+def compute_kinematics(
+    arm: np.ndarray, q: np.ndarray, v: np.ndarray, pose: np.ndarray, J: np.ndarray, drift: np.ndarray
+) -> None:
+    """Write pose, Jacobian and velocity product of the arm's end: (p, theta)'' = J q'' + J' q'.
+
+    Args:
+        arm: the arm's row.
+        q: joint angles, shape (3,) [rad].
+        v: joint rates, shape (3,) [rad/s].
+        pose: x, y, angle, written, shape (3,) [m, rad].
+        J: Jacobian, written, shape (3, 3).
+        drift: J' q', written, shape (3,) [m/s^2, rad/s^2].
+    """
+    a1, a2, a3 = q[0], q[0] + q[1], q[0] + q[1] + q[2]
+    u, w, z = v[0] ** 2, (v[0] + v[1]) ** 2, (v[0] + v[1] + v[2]) ** 2
+    x1, x2, x3 = arm[L1] * math.cos(a1), arm[L2] * math.cos(a2), arm[L3] * math.cos(a3)
+    y1, y2, y3 = arm[L1] * math.sin(a1), arm[L2] * math.sin(a2), arm[L3] * math.sin(a3)
+    pose[0], pose[1], pose[2] = arm[X] + x1 + x2 + x3, arm[Y] + y1 + y2 + y3, a3
+    J[0, 2], J[1, 2] = -y3, x3
+    J[0, 1], J[1, 1] = -y2 - y3, x2 + x3
+    J[0, 0], J[1, 0] = -y1 - y2 - y3, x1 + x2 + x3
+    J[2, 0] = J[2, 1] = J[2, 2] = 1.0
+    drift[0] = -(x1 * u + x2 * w + x3 * z)
+    drift[1] = -(y1 * u + y2 * w + y3 * z)
+    drift[2] = 0.0
+
+
+def solve_inverse_kinematics(arm: np.ndarray, pose: np.ndarray, elbow: int) -> np.ndarray:
+    """Return the joint angles at which the arm's end has a pose.
+
+    Args:
+        arm: the arm's row.
+        pose: x, y, angle, shape (3,) [m, rad].
+        elbow: sign of the second joint's angle.
+
+    Returns:
+        q, shape (3,) [rad].
+
+    Raises:
+        InputError: the pose is out of reach.
+    """
+    x = pose[0] - arm[L3] * math.cos(pose[2]) - arm[X]
+    y = pose[1] - arm[L3] * math.sin(pose[2]) - arm[Y]
+    reach = math.hypot(x, y)
+    longest, shortest = arm[L1] + arm[L2], abs(arm[L1] - arm[L2])
+    if not shortest < reach < longest:
+        raise InputError(
+            f"pose ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g}) is out of reach: the wrist would be {reach:.3g} m "
+            f"from the base, between {shortest:.3g} and {longest:.3g} m is possible"
+        )
+    bend = math.acos((reach**2 - arm[L1] ** 2 - arm[L2] ** 2) / (2 * arm[L1] * arm[L2])) * elbow
+    first = math.atan2(y, x) - math.atan2(arm[L2] * math.sin(bend), arm[L1] + arm[L2] * math.cos(bend))
+    return np.array([first, bend, pose[2] - first - bend])

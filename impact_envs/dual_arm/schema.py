@@ -1,0 +1,291 @@
+"""Tables of a dual-arm scenario: arms, pads, box, table, what is believed, what is true, and the draw of one world."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from impact_envs.dual_arm.arm import make_arm, solve_inverse_kinematics
+from impact_envs.errors import InputError
+from impact_envs.scenario import Box, Finite, NonNegative, Positive, Quantity, Scenario, Table, Uniform, Vector, draw
+
+Three = tuple[Positive, Positive, Positive]
+
+
+class Pose(Table):
+    """A place and an angle in the plane."""
+
+    position: Vector  # [m]
+    heading: Finite = 0.0  # [rad]
+
+    @property
+    def array(self) -> np.ndarray:
+        """Return x, y, heading, shape (3,) [m, rad]."""
+        return np.array([*self.position, self.heading])
+
+
+class Arm(Table):
+    """Where one arm stands and begins; the first arm pushes the box's face at -x, the second the one at +x."""
+
+    base: Vector  # of the first joint [m]
+    elbow: Literal[-1, 1]  # sign of the second joint's angle
+    start: Pose  # of the pad; x of the pad's frame points out of it
+
+
+class Links(Table):
+    """The links, joints and pad that both arms have."""
+
+    lengths: Three  # [m]
+    masses: Three  # [kg]
+    centers: Three  # distance of each centre of mass from the link's joint [m]
+    inertias: Three  # about the centres of mass [kg m^2]
+    torque_limits: Three  # [N m]
+    pad_half_height: Positive  # [m]
+
+
+class Joints(Table):
+    """Springs of the joints, and the motors behind them under their torque loop."""
+
+    flexible: bool = True
+    stiffness: Three  # [N m/rad]
+    damping: tuple[NonNegative, NonNegative, NonNegative]  # [N m s/rad]
+    motor_inertia: Three  # [kg m^2]
+    shaped_inertia: Three  # what the torque loop makes of it [kg m^2]
+
+
+class Surface(Table):
+    """Compliant contact: exponentially extended Hunt-Crossley normal force, smoothed Coulomb friction."""
+
+    stiffness: Positive  # k [N/m^c]
+    damping: NonNegative  # d [N s/m^(c+1)]
+    exponent: Annotated[float, Field(ge=1, le=3)] = 1.0  # c
+    friction: NonNegative  # mu
+    friction_slope: Positive = 1e3  # epsilon [s/m]
+
+
+class GraspBox(Table):
+    """The box as it is believed to be; it rests on the table, which is aligned with the true one."""
+
+    start: Pose
+    half_width: Positive  # [m]
+    half_height: Positive  # [m]
+    mass: Positive  # [kg]
+
+    @property
+    def inertia(self) -> float:
+        """Return the inertia of the filled rectangle about its centre [kg m^2]."""
+        return self.mass * (self.half_width**2 + self.half_height**2) / 3.0
+
+
+class Believed(Table):
+    """What the controller computes with where it must be careful."""
+
+    friction: Positive  # of the pads; below the true one
+
+
+class Truth(Table):
+    """The physics of the simulated world, numbers or distributions; unset means as believed."""
+
+    box_x: Quantity = 0.0  # true minus believed position of the box [m]
+    box_y: Quantity = 0.0  # [m]
+    box_heading: Quantity = 0.0  # [rad]
+    mass_scale: Quantity = 1.0  # true mass of the box over the believed one
+    friction: Quantity | None = None  # of the pads
+    stiffness_scale: Quantity = 1.0  # of the pads, damping with it
+    joint_stiffness_scale: Quantity = 1.0
+    start_x: Quantity = 0.0  # true minus planned start of each pad, drawn per arm [m]
+    start_y: Quantity = 0.0  # [m]
+    start_heading: Quantity = 0.0  # [rad]
+
+    @model_validator(mode="after")
+    def _limits(self) -> Self:
+        for name in ("mass_scale", "stiffness_scale", "joint_stiffness_scale"):
+            if smallest(getattr(self, name)) <= 0:
+                raise ValueError(f"{name} must be above 0")
+        return self
+
+
+def smallest(quantity: Quantity) -> float:
+    """Return the smallest value a quantity can take."""
+    return quantity.uniform[0] if isinstance(quantity, Uniform) else quantity
+
+
+@dataclass(frozen=True)
+class Physics:
+    """One true world: the numbers drawn for one episode.
+
+    Attributes:
+        box: x, y, heading at the start, shape (3,) [m, rad].
+        mass, inertia: of the box [kg], [kg m^2].
+        friction: of the pads.
+        stiffness, damping: of the pads [N/m^c], [N s/m^(c+1)].
+        joint_stiffness: of both arms' joints, shape (3,) [N m/rad].
+        starts: pose of each pad, shape (2, 3) [m, rad].
+    """
+
+    box: np.ndarray
+    mass: float
+    inertia: float
+    friction: float
+    stiffness: float
+    damping: float
+    joint_stiffness: np.ndarray
+    starts: np.ndarray
+
+
+class DualArmScenario(Scenario):
+    """Two planar arms that grasp a box by hitting it from both sides, and carry it to a target."""
+
+    suite_file: ClassVar[Path | None] = Path(__file__).parent / "suites.toml"
+
+    domain: Literal["dual_arm"]
+    tick: Positive = 1e-3  # over which joint torques are held [s]
+    physics_step: Positive = 5e-5  # of the integration [s]
+    gravity: NonNegative = 9.81  # along -y [m/s^2]
+    world: Box
+    arms: dict[str, Arm]
+    links: Links
+    joints: Joints
+    box: GraspBox
+    target: Pose  # where the box shall be brought
+    pads: Surface
+    table: Surface
+    believed: Believed
+    true: Truth = Truth()
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """Return the arms' names, in file order."""
+        return tuple(self.arms)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Return the arms, which stand for their pads, then the box: the canonical order of all arrays."""
+        return (*self.arms, "box")
+
+    @property
+    def ticks(self) -> int:
+        """Return the number of ticks in a control period."""
+        return round(self.control_period / self.tick)
+
+    @property
+    def substeps(self) -> int:
+        """Return the number of integration steps in a tick."""
+        return round(self.tick / self.physics_step)
+
+    def arm_numbers(self) -> np.ndarray:
+        """Return a row of `arm.make_arm` for each arm, shape (2, 14)."""
+        links = self.links
+        return np.array(
+            [
+                make_arm(arm.base, links.lengths, links.masses, links.centers, links.inertias, self.gravity)
+                for arm in self.arms.values()
+            ]
+        )
+
+    def joint_angles(self, poses: np.ndarray) -> np.ndarray:
+        """Return the joint angles that put the pads at poses.
+
+        Args:
+            poses: of each arm's pad, shape (2, 3) [m, rad].
+
+        Returns:
+            Shape (2, 3) [rad].
+
+        Raises:
+            InputError: out of reach.
+        """
+        arms = zip(self.arms.items(), self.arm_numbers(), poses, strict=True)
+        angles = []
+        for (name, arm), numbers, pose in arms:
+            try:
+                angles.append(solve_inverse_kinematics(numbers, pose, arm.elbow))
+            except InputError as error:
+                raise InputError(f"arms.{name}: {error}") from None
+        return np.array(angles)
+
+    def contact_poses(self, box: np.ndarray) -> np.ndarray:
+        """Return the poses of pads that touch the middle of their faces of a box.
+
+        Args:
+            box: x, y, heading, shape (3,) [m, rad].
+
+        Returns:
+            Shape (2, 3) [m, rad].
+        """
+        axis = self.box.half_width * np.array([math.cos(box[2]), math.sin(box[2])])
+        return np.array([[*(box[:2] - axis), box[2]], [*(box[:2] + axis), box[2] + math.pi]])
+
+    def as_believed(self) -> Self:
+        """Return the scenario as the expert sees it: the true world is the believed one."""
+        return self.model_copy(update={"true": Truth()})
+
+    def draw(self, rng: np.random.Generator) -> Physics:
+        """Draw one true world.
+
+        Args:
+            rng: the episode's generator; the order of draws is fixed, so worlds of one seed share what they can.
+
+        Returns:
+            The numbers of one episode.
+        """
+        true = self.true
+        offset = np.array([draw(true.box_x, rng), draw(true.box_y, rng), draw(true.box_heading, rng)])
+        mass = draw(true.mass_scale, rng)
+        friction = self.pads.friction if true.friction is None else draw(true.friction, rng)
+        stiffness = draw(true.stiffness_scale, rng)
+        joints = draw(true.joint_stiffness_scale, rng)
+        shifts = [[draw(true.start_x, rng), draw(true.start_y, rng), draw(true.start_heading, rng)] for _ in self.arms]
+        return Physics(
+            box=self.box.start.array + offset,
+            mass=self.box.mass * mass,
+            inertia=self.box.inertia * mass,
+            friction=friction,
+            stiffness=self.pads.stiffness * stiffness,
+            damping=self.pads.damping * stiffness,
+            joint_stiffness=np.array(self.joints.stiffness) * joints,
+            starts=np.array([arm.start.array for arm in self.arms.values()]) + np.array(shifts),
+        )
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if len(self.arms) != 2:
+            raise ValueError(f"arms: two are needed, {len(self.arms)} given")
+        for name, short, long in (
+            ("tick", self.tick, self.control_period),
+            ("physics_step", self.physics_step, self.tick),
+        ):
+            if not math.isclose(round(long / short) * short, long, rel_tol=1e-9):
+                raise ValueError(f"{name} = {short:g} does not divide {long:g} into whole parts")
+        true = self.pads.friction if self.true.friction is None else smallest(self.true.friction)
+        if not self.believed.friction <= true:
+            raise ValueError(
+                f"believed.friction = {self.believed.friction:g} is above the pads' true friction {true:g}: "
+                "forces inside the believed cone would slip"
+            )
+        starts = np.array([arm.start.array for arm in self.arms.values()])
+        places = {"start": starts}
+        places |= {"box.start": self.contact_poses(self.box.start.array)}
+        places |= {"target": self.contact_poses(self.target.array)}
+        for key, poses in places.items():
+            try:
+                self.joint_angles(poses)
+            except InputError as error:
+                raise ValueError(f"{key}: {error}") from None
+        self._check_apart(starts)
+        return self
+
+    def _check_apart(self, starts: np.ndarray) -> None:
+        """Raise unless each pad starts in front of its face of the box."""
+        box = self.box.start.array
+        for name, side, (x, y, heading) in zip(self.arms, (1.0, -1.0), starts, strict=True):
+            for h in (self.links.pad_half_height, -self.links.pad_half_height):
+                dx, dy = x - h * math.sin(heading) - box[0], y + h * math.cos(heading) - box[1]
+                gap = -side * (math.cos(box[2]) * dx + math.sin(box[2]) * dy) - self.box.half_width
+                if gap <= 0:
+                    raise ValueError(f"arms.{name}.start: the pad is {-gap:.3g} m behind its face of the box")

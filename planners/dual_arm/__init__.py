@@ -1,0 +1,1 @@
+"""Expert of the dual-arm domain: time-invariant reference spreading."""
