@@ -19,10 +19,10 @@ from impact_envs.stl import Monitor
 
 # A full-thrust step of every actuator costs this much robustness per control period.
 EFFORT_WEIGHT = 1e-4  # [m]
-# The world of each domain: module and class of its model and its task.
+# The world of each domain: module and maker of its model and its task.
 DOMAINS = {
     "free_flyer": (
-        ("impact_envs.free_flyer.model", "FreeFlyerModel"),
+        ("impact_envs.free_flyer.disc_model", "make_model"),
         ("impact_envs.free_flyer.task", "FreeFlyerTask"),
     )
 }
