@@ -197,7 +197,8 @@ class ImpactEnv(ParallelEnv):
         before, self.bounds = self.bounds, self._clip(self.monitor.update(self.signals))
         self._remember()
         over = self.steps >= min(self.max_cycles, self.scenario.steps)
-        team = (sum(self.bounds) - sum(before)) / 2 + (self.bounds[0] if over else 0.0)
+        (low, high), over_low = self.bounds, self.bounds[0] if over else 0.0
+        team = (low + high - (before[0] + before[1])) / 2 + over_low
         agents = self.agents
         rewards = {agent: team / len(agents) - EFFORT_WEIGHT * self.task.effort(actions[agent]) for agent in agents}
         observations, infos = self.task.observe(self.time, self.bounds), self._infos(over)

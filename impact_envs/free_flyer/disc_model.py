@@ -96,7 +96,7 @@ class DiscModel:
         Args:
             states: as ``state`` returns them, shape (bodies, 6).
         """
-        write_states(self._worlds, 0, np.array(states, dtype=float)[None])
+        write_states(self._worlds, 0, np.array(states, dtype=float)[None], 0)
 
     def step(self, controls: Mapping[str, np.ndarray]) -> list[Impact]:
         """Advance one control period under held controls.

@@ -77,16 +77,6 @@ class Sensors:
         return measured[0], felt[0]
 
 
-def body_block(state: np.ndarray) -> np.ndarray:
-    """Return the seven observed numbers of a body.
-
-    Args:
-        state: [x, y, vx, vy, heading, omega], shape (6,).
-    """
-    x, y, vx, vy, heading, omega = state
-    return np.array([x, y, vx, vy, np.cos(heading), np.sin(heading), omega])
-
-
 def observed_order(scenario: FreeFlyerScenario, agent: str) -> tuple[str, ...]:
     """Return the bodies in the order of an agent's observation: itself, other robots, objects."""
     return (agent, *(name for name in scenario.bodies if name != agent))

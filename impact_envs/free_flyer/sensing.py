@@ -18,6 +18,8 @@ BODY_SIZE = 7  # x, y, vx, vy, cos(heading), sin(heading), omega
 TAIL_SIZE = 4  # contact, time / horizon, robustness_lower, robustness_upper
 # The published replanner averages the differences of its last 15 positions, which is this difference quotient.
 VELOCITY_WINDOW = 15
+# Slowest impact the inertial unit feels; below it lies resting contact.
+FELT_SPEED = 1e-3  # [m/s]
 STATE_SIZE = 6  # x, y, vx, vy, heading, omega
 
 

@@ -7,14 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from gymnasium.spaces import Box
 
-from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, Sensors, body_block, observed_order
+from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, Sensors
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
+from impact_envs.free_flyer.sensing import FELT_SPEED, write_agent_observation, write_joint_observation
 from impact_envs.physics.impact import Impact
 from impact_envs.shape import Shape
 
 SIGNALS = ("x", "y", "vx", "vy", "heading", "omega")
-# Slowest impact the inertial unit feels; below it lies resting contact.
-FELT_SPEED = 1e-3  # [m/s]
 
 
 class FreeFlyerTask:
@@ -63,7 +62,11 @@ class FreeFlyerTask:
 
     def effort(self, action: np.ndarray) -> float:
         """Return a robot's effort in one control period: mean square of its action, in [0, 1]."""
-        return float(np.mean(np.square(np.clip(action, -1.0, 1.0), dtype=float)))
+        total = 0.0
+        for u in action:
+            clipped = min(max(float(u), -1.0), 1.0)
+            total += clipped * clipped
+        return total / len(action)
 
     def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
         """Return the propulsion spent in one control period: sum of |F| dt over robots [N s]."""
@@ -87,20 +90,18 @@ class FreeFlyerTask:
             time: [s].
             bounds: interval of robustness still possible, finite [m].
         """
-        blocks = {name: body_block(s) for name, s in zip(self.scenario.bodies, self._measured, strict=True)}
-        fraction = time / self.scenario.horizon
-        return {
-            agent: np.concatenate(
-                [blocks[name] for name in observed_order(self.scenario, agent)]
-                + [np.array([contact, fraction, *bounds])]
-            )
-            for agent, contact in zip(self.scenario.agents, self._contacts, strict=True)
-        }
+        joint = self.observe_jointly(time, bounds)[None]
+        agents = np.empty((1, len(self.scenario.robots), BODY_SIZE * len(self.scenario.bodies) + TAIL_SIZE))
+        for i in range(len(self.scenario.robots)):
+            write_agent_observation(0, i, joint, agents)
+        return {agent: row.copy() for agent, row in zip(self.scenario.agents, agents[0], strict=True)}
 
     def observe_jointly(self, time: float, bounds: tuple[float, float]) -> np.ndarray:
         """Return everything measured once: bodies in scenario order, contacts, time / horizon, robustness interval."""
-        blocks = [body_block(state) for state in self._measured]
-        return np.concatenate([*blocks, self._contacts, [time / self.scenario.horizon, *bounds]])
+        joint = np.empty((1, self.joint_observation_space.shape[0]))
+        measured, felt = self._measured[None], self._contacts[None]
+        write_joint_observation(0, measured, felt, time / self.scenario.horizon, *bounds, joint)
+        return joint[0]
 
     def signals(self, states: np.ndarray) -> dict[str, float]:
         """Return the named signals a formula speaks of, for example ``pop.x``."""

@@ -168,14 +168,14 @@ def read_states(worlds: Worlds, k: int, states: np.ndarray) -> None:
 
 
 @compiled
-def write_states(worlds: Worlds, k: int, states: np.ndarray) -> None:
-    """Put world k's bodies where states[k] says; the opposite of ``read_states``."""
+def write_states(worlds: Worlds, k: int, states: np.ndarray, row: int) -> None:
+    """Put world k's bodies where states[row] says; the opposite of ``read_states``."""
     for i in range(worlds.state.shape[1]):
-        rx, ry = find_offset(worlds, k, i, states[k, i, 4])
-        omega = states[k, i, 5]
-        worlds.state[k, i, 0], worlds.state[k, i, 1] = states[k, i, 0] + rx, states[k, i, 1] + ry
-        worlds.state[k, i, 2], worlds.state[k, i, 3] = states[k, i, 2] - omega * ry, states[k, i, 3] + omega * rx
-        worlds.state[k, i, 4], worlds.state[k, i, 5] = states[k, i, 4], omega
+        rx, ry = find_offset(worlds, k, i, states[row, i, 4])
+        omega = states[row, i, 5]
+        worlds.state[k, i, 0], worlds.state[k, i, 1] = states[row, i, 0] + rx, states[row, i, 1] + ry
+        worlds.state[k, i, 2], worlds.state[k, i, 3] = states[row, i, 2] - omega * ry, states[row, i, 3] + omega * rx
+        worlds.state[k, i, 4], worlds.state[k, i, 5] = states[row, i, 4], omega
 
 
 @compiled
