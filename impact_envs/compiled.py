@@ -18,7 +18,7 @@ from numba.core.dispatcher import Dispatcher
 
 ROOT = Path(__file__).parents[1]
 # Nothing is allocated, so arrays need no reference counts; counting them costs as much as all the rest.
-OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
+OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False, "nogil": True}
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -33,11 +33,6 @@ def compiled(function: Function) -> Function:
 def inlined(function: Function) -> Function:
     """Compile a scalar function into each of its callers: passing two dozen arrays costs more than a short function."""
     return refresh(numba.njit(**OPTIONS, forceinline=True)(function))
-
-
-def compiled_parallel(function: Function) -> Function:
-    """Compile a function whose loop over ``numba.prange`` is shared among threads."""
-    return refresh(numba.njit(cache=True, error_model="numpy", parallel=True)(function))
 
 
 def refresh(dispatcher: Any) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from impact_envs.free_flyer.step import (
     Output,
     Rules,
     find_not_finite,
-    run_parallel,
     run_range,
 )
 from impact_envs.free_flyer.task import SIGNALS, FreeFlyerTask
@@ -94,6 +94,8 @@ class Batch:
         check_size(count, sum(array.nbytes for arrays in self._make_worlds(1, shifts, gains) for array in arrays))
         self._worlds, self._memory = self._make_worlds(count, shifts, gains)
         self._log = np.zeros((count, 0, ROW))
+        self._threads = len(self._scratch.motion)
+        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
         self._todo = np.zeros(count, np.int64)
 
     @property
@@ -146,7 +148,7 @@ class Batch:
             output: takes their first observations.
         """
         self._draw(np.flatnonzero(worlds))
-        self._run(np.zeros((self.count, self.robots, 3), self.dtype), np.where(worlds, START, LEAVE), output)
+        self._run(np.zeros((self.count, self.robots, 3)), np.where(worlds, START, LEAVE), output)
 
     def step(self, actions: np.ndarray, output: Output, restart: np.ndarray | None = None) -> None:
         """Advance the worlds by one control period.
@@ -159,7 +161,7 @@ class Batch:
         Raises:
             InputError: actions of another shape, or one that is no finite number; nothing was stepped.
         """
-        actions = np.ascontiguousarray(actions)
+        actions = np.ascontiguousarray(actions, dtype=np.float64)
         if actions.shape != (self.count, self.robots, 3):
             raise InputError(f"actions have shape {actions.shape}; ({self.count}, {self.robots}, 3) is needed")
         todo = self._todo
@@ -193,11 +195,16 @@ class Batch:
         )
 
     def _run(self, actions: np.ndarray, todo: np.ndarray, output: Output) -> None:
-        everything = (self._arena, self._worlds, self._scratch, self._log, self._program, self._sensing, self._rules)
-        if len(self._scratch.motion) > 1:
-            run_parallel(*everything, self._memory, output, actions, todo)
-        else:
-            run_range(*everything, self._memory, output, actions, todo, 0, 0, self.count)
+        arrays = (self._arena, self._worlds, self._scratch, self._log, self._program, self._sensing, self._rules)
+
+        def run(thread: int) -> None:
+            first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
+            run_range(*arrays, self._memory, output, actions, todo, thread, first, end)
+
+        if self._pool is None:
+            run(0)
+        else:  # threads rather than numba.prange, which compiles everything once more
+            list(self._pool.map(run, range(self._threads)))
 
     def _draw(self, worlds: np.ndarray) -> None:
         if len(worlds) == 0:

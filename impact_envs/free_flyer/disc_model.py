@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from impact_envs.errors import InputError, choices
-from impact_envs.free_flyer.engine import EVENTS, step_world
+from impact_envs.free_flyer.engine import EVENTS, step_alone
 from impact_envs.free_flyer.model import FreeFlyerModel
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
 from impact_envs.free_flyer.worlds import (
@@ -71,6 +71,7 @@ class DiscModel:
         worlds.body[0, :, DRIFT_X:] = [physics.drift.get(name, (0.0, 0.0)) for name in names]
         worlds.thruster[0, :, :OWED] = [physics.thruster_gain[name].ravel() for name in self.scenario.robots]
         worlds.contact[0] = physics.restitution, physics.restitution_speed, physics.friction
+        self._states = np.empty_like(worlds.state)
         tables = [self.scenario.body(name) for name in names]
         self.set_state(np.array([(*table.start, 0.0, 0.0, table.heading, 0.0) for table in tables]))
 
@@ -86,9 +87,7 @@ class DiscModel:
 
     def state(self) -> np.ndarray:
         """Return the state of all bodies (see ``FreeFlyerModel.state``), shape (bodies, 6)."""
-        states = np.empty_like(self._worlds.state)
-        read_states(self._worlds, 0, states)
-        return states[0]
+        return self._states[0].copy()
 
     def set_state(self, states: np.ndarray) -> None:
         """Move all bodies to a state; time and what on/off thrusters owe go on.
@@ -97,6 +96,7 @@ class DiscModel:
             states: as ``state`` returns them, shape (bodies, 6).
         """
         write_states(self._worlds, 0, np.array(states, dtype=float)[None], 0)
+        read_states(self._worlds, 0, self._states)
 
     def step(self, controls: Mapping[str, np.ndarray]) -> list[Impact]:
         """Advance one control period under held controls.
@@ -120,9 +120,11 @@ class DiscModel:
             command = [float(u) for u in controls[name]]
             if len(command) != 3 or not all(map(math.isfinite, command)):
                 raise InputError(f"control of {name} = {command}: three finite numbers Fx, Fy, tau are needed")
-            row[:] = [min(max(u, -limit), limit) for u, limit in zip(command, limits, strict=True)]
-        step_world(self._arena, self._worlds, self._scratch, self._log, 0, 0, self._controls)
-        return [self._impact(row) for row in self._log[0, : self._worlds.counter[0, HITS]].tolist()]
+            for channel, (u, limit) in enumerate(zip(command, limits, strict=True)):
+                row[channel] = min(max(u, -limit), limit)
+        step_alone(*self._arena, *self._worlds, *self._scratch, self._log, self._controls, self._states)
+        hits = int(self._worlds.counter[0, HITS])
+        return [self._impact(row) for row in self._log[0, :hits].tolist()] if hits else []
 
     def _impact(self, row: list[float]) -> Impact:
         time, i, j, px, py, nx, ny, along, across, speed = row

@@ -63,13 +63,14 @@ from impact_envs.free_flyer.worlds import (
     J,
     Scratch,
     Worlds,
+    read_states,
 )
 
 # In one control period; more count as overflow, and the bodies stand still for the rest of it.
 EVENTS = 1000
 
 
-@compiled
+@inlined
 def step_world(
     arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: int, k: int, controls: np.ndarray
 ) -> None:
@@ -95,6 +96,34 @@ def step_world(
         actuate(arena, worlds, scratch, c, k, i, controls)
     advance(arena, worlds, scratch, log, c, k)
     worlds.counter[k, STEPS] += 1
+
+
+@compiled
+def step_alone(
+    period: float,
+    on_off: bool,
+    robots: int,
+    discs: np.ndarray,
+    pairs: np.ndarray,
+    first_face: np.ndarray,
+    faces: np.ndarray,
+    state: np.ndarray,
+    body: np.ndarray,
+    thruster: np.ndarray,
+    contact: np.ndarray,
+    counter: np.ndarray,
+    motion: np.ndarray,
+    marks: np.ndarray,
+    contacts: np.ndarray,
+    log: np.ndarray,
+    controls: np.ndarray,
+    states: np.ndarray,
+) -> None:
+    """Advance world 0 and read its states: ``step_world`` for Python, which hands over arrays faster than tuples."""
+    worlds = Worlds(state, body, thruster, contact, counter)
+    arena = Arena(period, on_off, robots, discs, pairs, first_face, faces)
+    step_world(arena, worlds, Scratch(motion, marks, contacts), log, 0, 0, controls)
+    read_states(worlds, 0, states)
 
 
 @inlined

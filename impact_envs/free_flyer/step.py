@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
-from impact_envs.compiled import compiled, compiled_parallel, inlined
+from impact_envs.compiled import compiled, inlined
 from impact_envs.free_flyer.engine import step_world
 from impact_envs.free_flyer.sensing import (
     FELT_SPEED,
@@ -97,7 +96,7 @@ def compute_effort(actions: np.ndarray, k: int, i: int) -> float:
     return total / 3
 
 
-@compiled
+@inlined
 def step_task(
     arena: Arena,
     worlds: Worlds,
@@ -130,7 +129,7 @@ def step_task(
     observe(worlds, sensing, rules, memory, output, k)
 
 
-@compiled
+@inlined
 def start_task(
     worlds: Worlds,
     program: Program,
@@ -215,28 +214,6 @@ def run_range(
             step_task(arena, worlds, scratch, log, program, sensing, rules, memory, output, c, k, actions)
         elif todo[k] == START:
             start_task(worlds, program, sensing, rules, memory, output, k)
-
-
-@compiled_parallel
-def run_parallel(
-    arena: Arena,
-    worlds: Worlds,
-    scratch: Scratch,
-    log: np.ndarray,
-    program: Program,
-    sensing: Sensing,
-    rules: Rules,
-    memory: Memory,
-    output: Output,
-    actions: np.ndarray,
-    todo: np.ndarray,
-) -> None:
-    """Step or start all worlds, each thread its share of them."""
-    threads = scratch.motion.shape[0]
-    count = todo.shape[0]
-    for c in numba.prange(threads):
-        first, end = c * count // threads, (c + 1) * count // threads
-        run_range(arena, worlds, scratch, log, program, sensing, rules, memory, output, actions, todo, c, first, end)
 
 
 @compiled

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -30,10 +31,11 @@ class FreeFlyerTask:
     def __init__(self, scenario: FreeFlyerScenario) -> None:
         self.scenario = scenario
         self._limits = {
-            name: np.array([robot.force_limit, robot.force_limit, robot.torque_limit])
-            for name, robot in scenario.robots.items()
+            name: (robot.force_limit, robot.force_limit, robot.torque_limit) for name, robot in scenario.robots.items()
         }
         self._sensors = Sensors(scenario)
+        self._names = scenario.agents
+        self._signals = [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS]
         self._contacts = np.zeros(len(scenario.robots))
         size = BODY_SIZE * len(scenario.bodies)
         n = len(scenario.robots)
@@ -55,8 +57,9 @@ class FreeFlyerTask:
 
     def controls(self, actions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Scale actions to body-frame force and torque [N, N, N m], shape (3,) each."""
+        # Plain numbers: arrays of three cost more than the whole step.
         return {
-            name: np.clip(np.asarray(action, dtype=float), -1.0, 1.0) * self._limits[name]
+            name: np.array([min(max(float(u), -1.0), 1.0) * w for u, w in zip(action, self._limits[name], strict=True)])
             for name, action in actions.items()
         }
 
@@ -70,7 +73,7 @@ class FreeFlyerTask:
 
     def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
         """Return the propulsion spent in one control period: sum of |F| dt over robots [N s]."""
-        return sum(float(np.hypot(u[0], u[1])) for u in controls.values()) * self.scenario.control_period
+        return sum(math.hypot(u[0], u[1]) for u in controls.values()) * self.scenario.control_period
 
     def sense(self, states: np.ndarray, impacts: Sequence[Impact]) -> None:
         """Take the sensors' sample of this control step.
@@ -80,7 +83,7 @@ class FreeFlyerTask:
             impacts: impacts of the last control period.
         """
         felt = {name for impact in impacts if impact.speed > FELT_SPEED for name in (impact.a, impact.b)}
-        contacts = np.array([float(name in felt) for name in self.scenario.agents])
+        contacts = np.array([float(name in felt) for name in self._names])
         self._measured, self._contacts = self._sensors.measure(states, contacts)
 
     def observe(self, time: float, bounds: tuple[float, float]) -> dict[str, np.ndarray]:
@@ -94,7 +97,7 @@ class FreeFlyerTask:
         agents = np.empty((1, len(self.scenario.robots), BODY_SIZE * len(self.scenario.bodies) + TAIL_SIZE))
         for i in range(len(self.scenario.robots)):
             write_agent_observation(0, i, joint, agents)
-        return {agent: row.copy() for agent, row in zip(self.scenario.agents, agents[0], strict=True)}
+        return {agent: row.copy() for agent, row in zip(self._names, agents[0], strict=True)}
 
     def observe_jointly(self, time: float, bounds: tuple[float, float]) -> np.ndarray:
         """Return everything measured once: bodies in scenario order, contacts, time / horizon, robustness interval."""
@@ -105,12 +108,7 @@ class FreeFlyerTask:
 
     def signals(self, states: np.ndarray) -> dict[str, float]:
         """Return the named signals a formula speaks of, for example ``pop.x``."""
-        rows = states.tolist()
-        return {
-            f"{body}.{name}": value
-            for body, row in zip(self.scenario.bodies, rows, strict=True)
-            for name, value in zip(SIGNALS, row, strict=True)
-        }
+        return dict(zip(self._signals, states.ravel().tolist(), strict=True))
 
     def signal_bounds(self) -> dict[str, tuple[float, float]]:
         """Return what is known of signals beforehand: solid walls keep every body in the world box."""
