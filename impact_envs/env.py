@@ -21,10 +21,14 @@ from impact_envs.stl import Monitor
 EFFORT_WEIGHT = 1e-4  # [m]
 # The world of each domain: module and maker of its model and its task.
 DOMAINS = {
+    "dual_arm": (
+        ("impact_envs.dual_arm.model", "DualArmModel"),
+        ("impact_envs.dual_arm.task", "DualArmTask"),
+    ),
     "free_flyer": (
         ("impact_envs.free_flyer.disc_model", "make_model"),
         ("impact_envs.free_flyer.task", "FreeFlyerTask"),
-    )
+    ),
 }
 
 
@@ -80,6 +84,9 @@ class Task(Protocol):
     def shapes(self) -> tuple[Shape, ...]:
         """Return what is drawn."""
 
+    def chains(self, states: np.ndarray) -> dict[str, np.ndarray]:
+        """Return polylines from bodies to what holds them, drawn with them."""
+
 
 class ImpactEnv(ParallelEnv):
     """Agents that reach a Signal Temporal Logic specification by hitting free-floating objects.
@@ -90,7 +97,7 @@ class ImpactEnv(ParallelEnv):
 
     Rewards: the team's part, shared equally, is the change of the middle of the interval of robustness still
     possible (the online monitor's bounds, clipped to the world's diagonal), plus the robustness reached at the end;
-    each agent pays ``EFFORT_WEIGHT`` times its mean square action. The sum over agents is what JointEnv returns.
+    each agent pays ``EFFORT_WEIGHT`` times its effort (see the task). The sum over agents is what JointEnv returns.
 
     Starting state: as the scenario says, at rest; the true physics are drawn from the reset seed.
 
@@ -228,6 +235,7 @@ class ImpactEnv(ParallelEnv):
         frame = Frame(
             time=self.time,
             poses=self._track[-1],
+            chains=self.task.chains(self.model.state()),
             trails={body: np.array([step[body][:2] for step in self._track]) for body in self.scenario.bodies},
             plans=self.curves,
             impacts=[(*mark.point, self.time - mark.time) for mark in self._marks],

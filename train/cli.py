@@ -30,6 +30,7 @@ from train.planning import Plan, load_plan
 from train.printing import show
 
 EVALUATION_SEED = 2_000_000
+LEAST_FRAMES = 200  # of a film, so that a short episode is seen slowly
 DEMO_SCENARIOS = ("throw_and_catch", "corridor")
 DEMO_POLICY = "throw_and_catch_restitution"
 
@@ -66,7 +67,7 @@ class Run:
     scenario: Positional[str]
     """Shipped name or TOML file."""
     policy: str = "expert"
-    """expert, zero, random, a shipped policy or a checkpoint folder."""
+    """expert, zero, random, a variant of the expert, a shipped policy or a checkpoint folder."""
     seed: int = EVALUATION_SEED
     """Of the whole episode."""
     suite: str = "nominal"
@@ -84,6 +85,7 @@ class Run:
         from impact_envs.env import parallel_env
         from impact_envs.rollout import rollout
         from train.evaluate import make_policy
+        from train.grasp_metrics import compute_figures
 
         scenario = load_scenario(self.scenario).suite(self.suite)
         if self.set:
@@ -94,7 +96,8 @@ class Run:
         policy = make_policy(self.policy, scenario, plan=load_plan(self.plan, scenario))
         env = parallel_env(scenario, render_mode="rgb_array" if film else self.render)
         env.curves |= _plan_curves(policy)
-        every = scenario.steps if film and film.suffix == ".png" else max(1, round(0.1 / scenario.control_period))
+        spacing = min(0.1, scenario.horizon / LEAST_FRAMES)
+        every = scenario.steps if film and film.suffix == ".png" else max(1, round(spacing / scenario.control_period))
 
         def record(shown: Any) -> None:
             if film and (shown.steps % every == 0 or not shown.agents):
@@ -104,7 +107,7 @@ class Run:
         env.close()
         if film:
             film.close()
-        return _episode_summary(episode, self.suite)
+        return _episode_summary(episode, self.suite) | compute_figures(episode, scenario)
 
 
 @dataclass
@@ -150,7 +153,7 @@ class Evaluate:
     scenarios: Positional[tuple[str, ...]]
     """Shipped names or TOML files."""
     policies: tuple[str, ...] = ("expert", "zero")
-    """expert, zero, random, shipped policies or checkpoint folders."""
+    """expert, zero, random, variants of the expert, shipped policies or checkpoint folders."""
     episodes: int = 20
     """Episodes per scenario, suite and policy."""
     seed: int = EVALUATION_SEED

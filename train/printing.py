@@ -51,7 +51,7 @@ def _evaluation_table(rows: Sequence[dict[str, Any]]) -> Table:
     names = ("scenario", "suite", "policy", "n", "success", "robustness [m]", "effort", "hits", "p99 ms", "fallbacks")
     table = Table(
         *(Column(name, no_wrap=True) for name in names),
-        caption="[95 % intervals]: Wilson of success, bootstrap of median robustness; effort in N s",
+        caption="[95 % intervals]: Wilson of success, bootstrap of median robustness; effort in N s, of arms in N m s",
         padding=(0, 1, 0, 0),
     )
     for row in rows:

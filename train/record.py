@@ -30,6 +30,7 @@ PACKAGES = (
     "pettingzoo",
     "casadi",
     "cvxpy",
+    "daqp",
     "torch",
     "stable-baselines3",
 )

@@ -8,10 +8,13 @@ import numpy as np
 
 from impact_envs.dual_arm.arm import compute_dynamics, compute_kinematics
 from impact_envs.dual_arm.plant import ARM, BOX, CONTACTS, NORMAL, STATE, TANGENTIAL, Plant, advance
+from impact_envs.dual_arm.record import add_tick, begin_period, make_record
 from impact_envs.dual_arm.schema import DualArmScenario, Physics
 from impact_envs.errors import InputError, choices
 from impact_envs.physics.impact import Impact
 
+# Columns of the state.
+JOINTS, RATES, FORCES, KEPT, WIDTH = slice(6, 9), slice(9, 12), slice(12, 14), slice(14, 22), 22
 SIDES = (1.0, -1.0)  # of the box's frame: arm 1 pushes along +x, arm 2 along -x
 
 
@@ -44,6 +47,7 @@ class DualArmModel:
         self._ticks = 0
         self._contacts = np.zeros((CONTACTS, 5))
         self._sums = np.zeros((4, 2))
+        self._record = make_record()
         self._touched = np.zeros(2, dtype=bool)
         self._s = np.zeros(STATE)
         q = self.scenario.joint_angles(physics.starts)
@@ -77,16 +81,19 @@ class DualArmModel:
         """Return the state of all bodies.
 
         Returns:
-            Rows x, y, vx, vy, heading, omega, then three joint angles and three joint rates (zeros for the box), of
-            both pads and the box, shape (3, 12) [m, m/s, rad, rad/s].
+            Rows of both pads and the box, shape (3, 22): x, y, vx, vy, heading, omega; then (zeros for the box) three
+            joint angles, three joint rates, the normal forces at the pad's corners; then the grasp's record in the
+            order of `schema.RECORD` [m, m/s, rad, rad/s, N, N m, s].
         """
-        rows = np.zeros((3, 12))
+        rows = np.zeros((3, WIDTH))
         pose, J, drift = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
         q, v = self.joints()
         for i in range(2):
             compute_kinematics(self.plant.arms[i], q[i], v[i], pose, J, drift)
             rows[i, :6] = _interleave(pose, J @ v[i])
-        rows[:2, 6:9], rows[:2, 9:] = q, v
+        rows[:2, JOINTS], rows[:2, RATES] = q, v
+        rows[:2, FORCES] = self._contacts[:4, NORMAL].reshape(2, 2)
+        rows[:, KEPT] = self._record.values
         rows[2, :6] = _interleave(self._s[BOX : BOX + 3], self._s[BOX + 3 :])
         return rows
 
@@ -111,6 +118,7 @@ class DualArmModel:
         """
         tau = np.clip(torques, -self.plant.limits, self.plant.limits)
         advance(self.plant, tau, self._s, self._substeps, self._h, self._work, self._contacts, self._sums)
+        add_tick(self._record, self._contacts, self._sums, tau, self.plant.limits, self.scenario.tick)
         self._ticks += 1
 
     def step(self, controls: Mapping[str, np.ndarray]) -> list[Impact]:
@@ -137,6 +145,7 @@ class DualArmModel:
                 raise InputError(f"control of {name}: 3 finite joint torques are needed, or {ticks} rows of them")
             torques[:, i] = values
         impacts: list[Impact] = []
+        begin_period(self._record)
         for k in range(ticks):
             before = self._sums[:, 1].copy()
             self.tick(torques[k])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +14,15 @@ from pydantic import Field, model_validator
 from impact_envs.dual_arm.arm import make_arm, solve_inverse_kinematics
 from impact_envs.errors import InputError
 from impact_envs.scenario import Box, Finite, NonNegative, Positive, Quantity, Scenario, Table, Uniform, Vector, draw
+from impact_envs.stl import SIGNALS
 
 Three = tuple[Positive, Positive, Positive]
+# What a formula may say of an arm beside its pad's motion, and of the box, which has the worst of both arms: least and
+# greatest normal force at the pads' corners [N], greatest joint torque and greatest change of one from tick to tick
+# [N m], each in the last control period; greatest net slip of a corner since the grasp [m], how much later than the
+# other the pad touched [s], how long the grasp took since the first touch [s], how long a torque has been at its limit
+# since then [s].
+RECORD = ("force_min", "force_max", "torque", "torque_step", "slip", "lag", "interim", "limit_time")
 
 
 class Pose(Table):
@@ -110,6 +118,12 @@ class Truth(Table):
         return self
 
 
+def compute_corners(*quantities: Quantity) -> np.ndarray:
+    """Return the corners of the box of values that quantities can take, shape (corners, quantities)."""
+    ends = [set(q.uniform) if isinstance(q, Uniform) else {q} for q in quantities]
+    return np.array(list(itertools.product(*ends)))
+
+
 def smallest(quantity: Quantity) -> float:
     """Return the smallest value a quantity can take."""
     return quantity.uniform[0] if isinstance(quantity, Uniform) else quantity
@@ -167,6 +181,11 @@ class DualArmScenario(Scenario):
     def bodies(self) -> tuple[str, ...]:
         """Return the arms, which stand for their pads, then the box: the canonical order of all arrays."""
         return (*self.arms, "box")
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Return what a formula may say of a body: its motion, and the record of the grasp."""
+        return (*SIGNALS, *RECORD)
 
     @property
     def ticks(self) -> int:
@@ -268,24 +287,33 @@ class DualArmScenario(Scenario):
                 f"believed.friction = {self.believed.friction:g} is above the pads' true friction {true:g}: "
                 "forces inside the believed cone would slip"
             )
+        self._check_places()
+        return self
+
+    def _check_places(self) -> None:
+        """Raise unless all places are in reach, also where they are farthest off, with the pads outside the box."""
+        true = self.true
         starts = np.array([arm.start.array for arm in self.arms.values()])
-        places = {"start": starts}
-        places |= {"box.start": self.contact_poses(self.box.start.array)}
-        places |= {"target": self.contact_poses(self.target.array)}
-        for key, poses in places.items():
+        shifted = starts + compute_corners(true.start_x, true.start_y, true.start_heading)[:, None]
+        boxes = self.box.start.array + compute_corners(true.box_x, true.box_y, true.box_heading)
+        places = [("start", starts), ("box.start", self.contact_poses(self.box.start.array))]
+        places += [("target", self.contact_poses(self.target.array))]
+        places += [("true start", poses) for poses in shifted]
+        places += [("true box", self.contact_poses(box)) for box in boxes]
+        for key, poses in places:
             try:
                 self.joint_angles(poses)
             except InputError as error:
                 raise ValueError(f"{key}: {error}") from None
-        self._check_apart(starts)
-        return self
+        self._check_apart("start", starts, self.box.start.array)
+        for poses, box in itertools.product(shifted, boxes):
+            self._check_apart("true start", poses, box)
 
-    def _check_apart(self, starts: np.ndarray) -> None:
-        """Raise unless each pad starts in front of its face of the box."""
-        box = self.box.start.array
-        for name, side, (x, y, heading) in zip(self.arms, (1.0, -1.0), starts, strict=True):
+    def _check_apart(self, key: str, poses: np.ndarray, box: np.ndarray) -> None:
+        """Raise unless each pad is in front of its face of the box."""
+        for name, side, (x, y, heading) in zip(self.arms, (1.0, -1.0), poses, strict=True):
             for h in (self.links.pad_half_height, -self.links.pad_half_height):
                 dx, dy = x - h * math.sin(heading) - box[0], y + h * math.cos(heading) - box[1]
                 gap = -side * (math.cos(box[2]) * dx + math.sin(box[2]) * dy) - self.box.half_width
                 if gap <= 0:
-                    raise ValueError(f"arms.{name}.start: the pad is {-gap:.3g} m behind its face of the box")
+                    raise ValueError(f"arms.{name}: {key}: the pad is {-gap:.3g} m behind its face of the box")

@@ -12,6 +12,27 @@ from planners.dual_arm.impact_prediction import load_impact_map
 from planners.dual_arm.reference_spreading import PAPER, SHIPPED, ReferenceSpreading, Settings
 
 
+def make_dual_arm_expert(scenario: DualArmScenario, variant: str | None = None) -> DualArmExpert:
+    """Make the expert, or what it is compared with.
+
+    Args:
+        scenario: its true physics are not looked at.
+        variant: ``published``, the proposed controller without what it does not have in the paper, or a baseline of
+            `reference_spreading.METHODS`; the expert without.
+
+    Returns:
+        A Policy named after the variant.
+
+    Raises:
+        InputError: unknown variant.
+    """
+    if variant is None:
+        return DualArmExpert(scenario)
+    expert = DualArmExpert(scenario, PAPER, "proposed" if variant == "published" else variant)
+    expert.name = variant
+    return expert
+
+
 class DualArmExpert:
     """Grasp the box by a simultaneous impact and carry it to the target.
 
@@ -58,13 +79,13 @@ class DualArmExpert:
         self._seconds: list[float] = []
 
     def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return each arm's action, joint torques over their limits in [-1, 1], shape (3,); one call per tick."""
+        """Return each arm's action, joint torques over their limits in [-1, 1], shape (3,); one call per period."""
         rows = np.array([observations[name][:8] for name in self._scenario.arms])
         torques = self.control(rows[:, :3].copy(), rows[:, 3:6].copy(), rows[:, 6:].ravel())
         return dict(zip(self._scenario.arms, torques / self._limits, strict=True))
 
     def control(self, q: np.ndarray, v: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """Return the torques of a tick.
+        """Return the torques of a control period.
 
         Args:
             q, v: measured joint angles and rates, shape (2, 3) [rad], [rad/s].
@@ -79,14 +100,14 @@ class DualArmExpert:
         return torques
 
     def _warm_up(self) -> None:
-        """Go once through all phases, so that no tick has to wait for the compiler."""
+        """Go once through all phases, so that no step has to wait for the compiler."""
         q, v = (
             self._scenario.joint_angles(self._scenario.contact_poses(self._scenario.box.start.array)),
             np.zeros((2, 3)),
         )
         self.controller.control(q, v, np.zeros(4))
         settings = self.controller.settings
-        for _ in range(round(settings.dwell / self._scenario.tick) + 1):
+        for _ in range(round(settings.dwell / self._scenario.control_period) + 1):
             self.controller.control(q, v, np.full(4, settings.contact_force + 1.0))
 
     def diagnostics(self) -> Diagnostics:

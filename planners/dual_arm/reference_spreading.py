@@ -136,7 +136,7 @@ def make_ante_field(scenario: DualArmScenario, settings: Settings) -> AnteField:
 
 
 class ReferenceSpreading:
-    """Control two arms through a simultaneous impact and the grasp that follows; one call per tick.
+    """Control two arms through a simultaneous impact and the grasp that follows; one call per control period.
 
     The box is never measured: its pose is the believed one until the impact, the mean of both pads after it.
 
@@ -175,7 +175,7 @@ class ReferenceSpreading:
             raise InputError(f"method '{method}' needs an impact map")
         self.method, self.settings = method, settings
         self._map = impact_map
-        self._tick = scenario.tick
+        self._tick = scenario.control_period
         self._limits = np.array([scenario.links.torque_limits] * 2, dtype=float)
         self._arms = scenario.arm_numbers()
         self._gains = make_gains(scenario, settings)

@@ -104,6 +104,17 @@ BAD = {
     "report": (("report", "nowhere"), ["nowhere"]),
     "command": (("frobnicate",), ["frobnicate", "plan"]),
     "algorithm": (("train", "corridor", "--algo", "dqn"), ["dqn", "ppo", "sac"]),
+    "plan of arms": (("plan", "dual_arm_grasp"), ["dual_arm_grasp", "no plan", "free_flyer"]),
+    "Bezier plan of arms": (("plan", "dual_arm_grasp", "--encoding", "bezier"), ["dual_arm_grasp", "no plan"]),
+    "arms with a plan": (("run", "dual_arm_grasp", "--plan", "nope.json"), ["dual_arm_grasp", "no plan"]),
+    "residual on arms": (("train", "dual_arm_grasp", "--suite", "all"), ["dual_arm_grasp", "no plan"]),
+    "variant": (("run", "dual_arm_grasp", "--policy", "no_interim"), ["no_interim", "no_interim_phase"]),
+    "box out of reach": (
+        ("run", "dual_arm_grasp", "--set", "target={position=[0.9,0.6]}"),
+        ["target", "arm_1", "out of reach"],
+    ),
+    "friction estimate": (("run", "dual_arm_grasp", "--set", "believed.friction=0.7"), ["believed.friction", "0.7"]),
+    "negative stiffness": (("run", "dual_arm_grasp", "--set", "pads.stiffness=-1"), ["pads.stiffness", "-1"]),
     "episodes": (("evaluate", "corridor", "--episodes", "0"), ["episodes 0"]),
 }
 

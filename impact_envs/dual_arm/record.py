@@ -1,0 +1,127 @@
+"""What a grasp came to, kept tick by tick: contact forces, torque steps, slip, how far apart the impacts were.
+
+A record has a row for each arm and one for the box, which holds the worst of both arms. Columns `force_min` to
+`torque_step` speak of the last control period, the others of all time since reset.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from impact_envs.dual_arm.plant import NORMAL
+
+FORCE_MIN, FORCE_MAX, TORQUE, TORQUE_STEP, SLIP, LAG, INTERIM, LIMIT_TIME = range(8)
+COUNT, FIRST, HELD, GRASP = 0, 1, 3, 4  # places in the marks; FIRST has one place for each arm
+GRASP_FORCE = 1.0  # that every pad corner must exceed [N]
+GRASP_TIME = 0.015  # for so long, for the box to count as grasped [s]
+# Of the limit: a clipped command equals it but for rounding.
+AT_LIMIT = 1.0 - 1e-9
+
+
+class Record(NamedTuple):
+    """Hold the record of an episode so far.
+
+    Attributes:
+        values: shape (3, 8), columns in the order of `schema.RECORD`.
+        marks: ticks so far, tick of each pad's first touch (-1 before), ticks in a row of full contact, tick at which
+            the box was grasped (-1 before), shape (5,).
+        slips: of the pad corners when the box was grasped, shape (4,) [m].
+        torques: of the last tick, shape (2, 3) [N m].
+    """
+
+    values: np.ndarray
+    marks: np.ndarray
+    slips: np.ndarray
+    torques: np.ndarray
+
+
+def make_record() -> Record:
+    """Make the record of an episode that has not begun."""
+    return Record(np.zeros((3, 8)), np.array([0, -1, -1, 0, -1]), np.zeros(4), np.zeros((2, 3)))
+
+
+def begin_period(record: Record) -> None:
+    """Forget the last control period; at least one tick has to follow."""
+    record.values[:, FORCE_MIN] = np.inf
+    record.values[:, FORCE_MAX : TORQUE_STEP + 1] = 0.0
+
+
+@njit(cache=True)
+def add_tick(
+    record: Record, contacts: np.ndarray, sums: np.ndarray, tau: np.ndarray, limits: np.ndarray, tick: float
+) -> None:
+    """Add a tick to the record.
+
+    Args:
+        record: changed.
+        contacts: at the end of the tick, as `plant` has them, shape (6, 5).
+        sums: slip and normal impulse of the pad corners since reset, shape (4, 2) [m, N s].
+        tau: commanded torques of the tick, shape (2, 3) [N m].
+        limits: of the torques, shape (2, 3) [N m].
+        tick: its length [s].
+    """
+    values, marks, _, last = record
+    box = values[2]
+    box[FORCE_MAX] = box[TORQUE] = box[TORQUE_STEP] = 0.0
+    box[FORCE_MIN] = np.inf
+    at_limit = False
+    for i in range(2):
+        row = values[i]
+        low, high = contacts[2 * i, NORMAL], contacts[2 * i + 1, NORMAL]
+        row[FORCE_MIN] = min(row[FORCE_MIN], low, high)
+        row[FORCE_MAX] = max(row[FORCE_MAX], low, high)
+        saturated = False
+        for j in range(3):
+            row[TORQUE] = max(row[TORQUE], abs(tau[i, j]))
+            if marks[COUNT] > 0:
+                row[TORQUE_STEP] = max(row[TORQUE_STEP], abs(tau[i, j] - last[i, j]))
+            saturated = saturated or abs(tau[i, j]) >= AT_LIMIT * limits[i, j]
+            last[i, j] = tau[i, j]
+        if marks[FIRST + i] < 0 and sums[2 * i, 1] + sums[2 * i + 1, 1] > 0.0:
+            marks[FIRST + i] = marks[COUNT]
+        if saturated and (marks[FIRST] >= 0 or marks[FIRST + 1] >= 0):
+            row[LIMIT_TIME] += tick
+            at_limit = True
+        for column in (FORCE_MAX, TORQUE, TORQUE_STEP):
+            box[column] = max(box[column], row[column])
+        box[FORCE_MIN] = min(box[FORCE_MIN], row[FORCE_MIN])
+    if at_limit:
+        box[LIMIT_TIME] += tick
+    follow_grasp(record, contacts, sums, tick)
+    marks[COUNT] += 1
+
+
+@njit(cache=True)
+def follow_grasp(record: Record, contacts: np.ndarray, sums: np.ndarray, tick: float) -> None:
+    """Write how far apart the impacts are, how long contact took to become full, and the slip since then.
+
+    Args:
+        record: changed.
+        contacts: at the end of the tick, shape (6, 5).
+        sums: slip and normal impulse of the pad corners since reset, shape (4, 2) [m, N s].
+        tick: its length [s].
+    """
+    values, marks, slips, _ = record
+    count = marks[COUNT]
+    for i in range(2):
+        mine, other = marks[FIRST + i], marks[FIRST + 1 - i]
+        if other >= 0:
+            values[i, LAG] = max(0.0, ((mine if mine >= 0 else count) - other) * tick)
+    first = max(marks[FIRST], marks[FIRST + 1])
+    if marks[FIRST] >= 0 and marks[FIRST + 1] >= 0:
+        first = min(marks[FIRST], marks[FIRST + 1])
+    full = min(contacts[0, NORMAL], contacts[1, NORMAL], contacts[2, NORMAL], contacts[3, NORMAL]) > GRASP_FORCE
+    marks[HELD] = marks[HELD] + 1 if full else 0
+    if first >= 0 and marks[GRASP] < 0:
+        values[:, INTERIM] = (count - first) * tick
+        if marks[HELD] >= round(GRASP_TIME / tick):
+            marks[GRASP] = count
+            slips[:] = sums[:, 0]
+    if marks[GRASP] >= 0:
+        for i in range(2):
+            values[i, SLIP] = max(abs(sums[2 * i, 0] - slips[2 * i]), abs(sums[2 * i + 1, 0] - slips[2 * i + 1]))
+    for column in (SLIP, LAG):
+        values[2, column] = max(values[0, column], values[1, column])

@@ -1,0 +1,161 @@
+"""What is asked of two arms that grasp: actions, observations, signals of the formula, effort."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from impact_envs.dual_arm.arm import compute_pose
+from impact_envs.dual_arm.model import FORCES, JOINTS, KEPT, RATES, WIDTH
+from impact_envs.dual_arm.schema import DualArmScenario, Physics
+from impact_envs.physics.impact import Impact
+from impact_envs.shape import Shape
+
+ARM_SIZE = 15  # of what is measured of one arm
+MOTION = slice(0, 6)
+# Effort is counted per tenth of a second, however short the control period: the weight of effort then means the same.
+EFFORT_PERIOD = 0.1  # [s]
+PAD_DEPTH, TABLE_DEPTH = 0.03, 0.05  # as drawn [m]
+
+
+class DualArmTask:
+    """Intent of a dual-arm scenario.
+
+    Observation of an arm, float64, SI units, exact: of itself and then of the other arm ``q1, q2, q3, q1', q2', q3'``
+    [rad, rad/s], the normal forces at its pad's two corners [N], and of its pad ``x, y, cos(heading), sin(heading), vx,
+    vy, omega`` [m, -, m/s, rad/s]; then ``time / horizon``. Neither the box is observed nor the robustness, which would
+    tell where it is.
+
+    Action of an arm: torques of its three joints in [-1, 1] of their limits, held over the control period.
+
+    Effort: mean square of the action, times the control period over 0.1 s.
+    """
+
+    def __init__(self, scenario: DualArmScenario) -> None:
+        self.scenario = scenario
+        self._limits = scenario.links.torque_limits
+        self._arms = scenario.arm_numbers()
+        self._signals = [f"{body}.{name}" for body in scenario.bodies for name in scenario.signals]
+        self._measured = np.zeros((2, ARM_SIZE))
+        self.action_spaces = {name: Box(-1.0, 1.0, (3,), np.float32) for name in scenario.agents}
+        self.observation_spaces = {name: _unbounded(2 * ARM_SIZE + 1) for name in scenario.agents}
+        self.joint_observation_space = _unbounded(2 * ARM_SIZE + 1)
+        self.state_space = _unbounded(WIDTH * len(scenario.bodies) + 1)
+
+    def reset(self, physics: Physics, states: np.ndarray, rng: np.random.Generator) -> None:
+        """Start an episode.
+
+        Args:
+            physics: the drawn true world.
+            states: true start states, shape (3, 22).
+            rng: the episode's generator.
+        """
+        self.sense(states, [])
+
+    def controls(self, actions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Scale actions to joint torques [N m], shape (3,) each."""
+        return {
+            name: np.array(
+                [min(max(float(u), -1.0), 1.0) * limit for u, limit in zip(action, self._limits, strict=True)]
+            )
+            for name, action in actions.items()
+        }
+
+    def effort(self, action: np.ndarray) -> float:
+        """Return an arm's effort in one control period, in [0, 1] where that is at most 0.1 s."""
+        total = 0.0  # plain numbers: arrays of three cost more
+        for u in action:
+            clipped = min(max(float(u), -1.0), 1.0)
+            total += clipped * clipped
+        return total / len(action) * self.scenario.control_period / EFFORT_PERIOD
+
+    def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
+        """Return what the joints spent in one control period: sum of |tau| dt over all of them [N m s]."""
+        return sum(abs(tau) for u in controls.values() for tau in u.tolist()) * self.scenario.control_period
+
+    def sense(self, states: np.ndarray, impacts: Sequence[Impact]) -> None:
+        """Take the sensors' sample of this control step.
+
+        Args:
+            states: true states, shape (3, 22).
+            impacts: of the last control period.
+        """
+        for row, state in zip(self._measured, states[:2], strict=True):
+            x, y, vx, vy, heading, omega = state[MOTION].tolist()
+            row[0:3], row[3:6], row[6:8] = state[JOINTS], state[RATES], state[FORCES]
+            row[8:] = x, y, math.cos(heading), math.sin(heading), vx, vy, omega
+
+    def observe(self, time: float, bounds: tuple[float, float]) -> dict[str, np.ndarray]:
+        """Return each arm's observation.
+
+        Args:
+            time: [s].
+            bounds: interval of robustness still possible, which arms are not told.
+        """
+        share = time / self.scenario.horizon
+        first, second = self._measured
+        pairs = ((first, second), (second, first))
+        return {name: np.append(pair, share) for name, pair in zip(self.scenario.arms, pairs, strict=True)}
+
+    def observe_jointly(self, time: float, bounds: tuple[float, float]) -> np.ndarray:
+        """Return everything measured once: both arms, then time / horizon."""
+        return np.append(self._measured, time / self.scenario.horizon)
+
+    def signals(self, states: np.ndarray) -> dict[str, float]:
+        """Return the named signals a formula speaks of, for example ``box.slip``."""
+        values = np.hstack([states[:, MOTION], states[:, KEPT]])
+        return dict(zip(self._signals, values.ravel().tolist(), strict=True))
+
+    def signal_bounds(self) -> dict[str, tuple[float, float]]:
+        """Return what is known of signals beforehand: limits of torques and times, and what cannot be negative."""
+        torque = max(self._limits)
+        upper = {"torque": torque, "torque_step": 2.0 * torque}
+        upper |= dict.fromkeys(("lag", "interim", "limit_time"), self.scenario.horizon)
+        upper |= dict.fromkeys(("force_min", "force_max", "slip"), math.inf)
+        return {f"{body}.{name}": (0.0, limit) for body in self.scenario.bodies for name, limit in upper.items()}
+
+    def shapes(self) -> tuple[Shape, ...]:
+        """Return regions, the table where it is believed to be, the box and the pads, in drawing order."""
+        scenario = self.scenario
+        box, pad = scenario.box, scenario.links.pad_half_height
+        regions = [Shape(None, "region", vertices=a.corners, label=n) for n, a in scenario.regions.items()]
+        x, y, heading = box.start.array
+        c, d = math.cos(heading), math.sin(heading)
+        top = -box.half_height
+        slab = _rectangle(-2.0 * box.half_width, top - TABLE_DEPTH, 2.0 * box.half_width, top)
+        table = Shape(
+            None, "obstacle", vertices=tuple((x + c * u - d * v, y + d * u + c * v) for u, v in slab), label="table"
+        )
+        sides = _rectangle(-box.half_width, -box.half_height, box.half_width, box.half_height)
+        pads = [Shape(n, "robot", vertices=_rectangle(-PAD_DEPTH, -pad, 0.0, pad), label=n) for n in scenario.arms]
+        return (*regions, table, Shape("box", "object", vertices=sides, label="box"), *pads)
+
+    def chains(self, states: np.ndarray) -> dict[str, np.ndarray]:
+        """Return what connects each pad to its base: base, elbow, wrist and pad.
+
+        Args:
+            states: true states, shape (3, 22).
+
+        Returns:
+            Arm to shape (4, 2) [m].
+        """
+        chains = {}
+        for name, arm, state in zip(self.scenario.arms, self._arms, states[:2], strict=True):
+            q1, q2, q3 = state[JOINTS].tolist()
+            base = arm[:2]
+            elbow = base + arm[2] * np.array([math.cos(q1), math.sin(q1)])
+            wrist = elbow + arm[3] * np.array([math.cos(q1 + q2), math.sin(q1 + q2)])
+            pad = compute_pose(arm, q1, q2, q3)[:2]
+            chains[name] = np.array([base, elbow, wrist, pad])
+        return chains
+
+
+def _rectangle(x0: float, y0: float, x1: float, y1: float) -> tuple[tuple[float, float], ...]:
+    return ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
+
+
+def _unbounded(size: int) -> Box:
+    return Box(-np.inf, np.inf, (size,), np.float64)

@@ -1,0 +1,108 @@
+"""Figures of a grasp, from the command line and over the evaluation, with the paper's comparison."""
+
+import json
+
+import pytest
+
+from impact_envs import load_scenario, parallel_env, rollout
+from impact_envs.errors import InputError
+from impact_envs.rollout import ZeroPolicy
+from planners import has_planner, list_variants, make_expert, make_plan
+from train.cli import main
+from train.evaluate import evaluate
+from train.grasp_metrics import compute_figures
+
+KEYS = {"impact_time_difference", "torque_step", "torque_peak", "limit_time", "slip", "box_error", "interim_duration"}
+POLICIES = ("expert", "published", "no_impact_map", "no_interim_phase")
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IMPACT_ENVS_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def shown(cache):
+    """What `impact run dual_arm_grasp --policy P --json` prints, by policy."""
+    with pytest.MonkeyPatch.context() as patch:
+        said = {}
+        for policy in POLICIES:
+            lines: list[str] = []
+            patch.setattr("builtins.print", lambda *text, lines=lines, **_: lines.append(str(text[0])))
+            assert main(("run", "dual_arm_grasp", "--policy", policy, "--json")) == 0
+            said[policy] = json.loads(lines[-1])
+    return said
+
+
+def test_run_prints_the_figures(shown):
+    for policy, figures in shown.items():
+        assert figures.keys() >= KEYS
+        assert figures["policy"] == policy
+        assert [impact["a"] for impact in figures["impacts"]] == ["arm_1", "arm_2"]
+        assert not figures["fallbacks"]
+
+
+def test_the_expert_grasps_as_it_should(shown):
+    figures = shown["expert"]
+    assert figures["success"] and figures["robustness"] > 0.0
+    assert figures["impact_time_difference"] <= 0.015
+    assert figures["torque_step"] <= 20.0
+    assert figures["slip"] <= 4e-3
+    assert figures["box_error"] <= 10e-3
+    assert figures["interim_duration"] <= 0.04
+
+
+@pytest.mark.parametrize("policy", ["expert", "published"])
+def test_the_comparison_of_the_paper_holds(shown, policy):
+    assert shown[policy]["torque_step"] <= 0.25 * shown["no_impact_map"]["torque_step"]
+    assert shown[policy]["torque_step"] <= 0.45 * shown["no_interim_phase"]["torque_step"]
+    assert {name for name, figures in shown.items() if figures["limit_time"] > 0.0} == {"no_impact_map"}
+    assert not shown["no_impact_map"]["success"] and not shown["no_interim_phase"]["success"]
+
+
+def test_the_expert_acts_at_the_period_of_its_scenario(cache):
+    scenario = load_scenario("dual_arm_grasp").override({"control_period": 0.01})
+    episode = rollout(parallel_env(scenario), make_expert(scenario), 0)
+    assert len(episode.solve_seconds) == 220
+    assert episode.success
+    assert compute_figures(episode, scenario)["torque_step"] <= 20.0
+
+
+def test_without_contact_there_are_no_figures_of_contact():
+    scenario = load_scenario("dual_arm_grasp").override({"control_period": 0.01})
+    env = parallel_env(scenario)
+    episode = rollout(env, ZeroPolicy(env), 0)
+    figures = compute_figures(episode, scenario)
+    assert figures.keys() >= KEYS
+    assert {key for key, value in figures.items() if value is not None} == {"box_error", "box_error_true"}
+    assert not episode.success
+
+
+def test_other_domains_have_no_such_figures():
+    scenario = load_scenario("throw_and_catch").shorten(0.1)
+    env = parallel_env(scenario)
+    assert compute_figures(rollout(env, ZeroPolicy(env), 0), scenario) == {}
+
+
+def test_variants_are_evaluated_beside_the_expert(cache, tmp_path):
+    scenario = load_scenario("dual_arm_grasp").override({"control_period": 0.01})
+    result = evaluate([scenario], ("no_impact_map", "zero"), 1, suites=("nominal",), out=tmp_path, progress=False)
+    assert [row["policy"] for row in result.rows] == ["no_impact_map", "zero"]
+    table = result.episodes.set_index("policy")
+    assert table.loc["no_impact_map", "limit_time"] > 0.0
+    again = evaluate([scenario], ("no_impact_map", "zero"), 1, suites=("nominal",), out=tmp_path, progress=False)
+    assert again.episodes_played == 0
+    with pytest.raises(InputError, match="policy 'no_impact_map' is unknown"):
+        evaluate(["corridor", scenario], ("no_impact_map",), 1, progress=False)
+
+
+def test_arms_have_no_planner(cache):
+    scenario = load_scenario("dual_arm_grasp")
+    assert not has_planner(scenario) and has_planner(load_scenario("corridor"))
+    with pytest.raises(InputError, match="domain 'dual_arm', whose expert follows no plan"):
+        make_plan(scenario)
+    assert list_variants(load_scenario("corridor")) == ()
+    with pytest.raises(InputError, match="has no variant 'no_map'"):
+        make_expert(scenario, variant="no_map")
