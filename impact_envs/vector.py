@@ -27,8 +27,8 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
     Action and observation spaces, rewards, starting state, episode end: as JointEnv.
 
     Observations, rewards and infos are fresh arrays at every call. ``infos`` carries ``robustness_lower``,
-    ``robustness_upper``, ``impacts`` (in the last control period) and ``overflow`` (control periods since reset with more
-    events than are followed; 0 unless the engine's rules failed) of every world; where an episode ended also
+    ``robustness_upper``, ``impacts`` (in the last control period) and ``overflow`` (control periods since reset with
+    more events than are followed; 0 unless the engine's rules failed) of every world; where an episode ended also
     ``robustness`` and ``success``, marked by ``_robustness`` and ``_success``; with autoreset in the same step
     ``final_obs``, marked by ``_final_obs``.
 

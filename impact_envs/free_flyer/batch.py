@@ -221,7 +221,8 @@ class Batch:
 
     def _make_worlds(self, count: int, shifts: bool, gains: bool) -> tuple[Worlds, Memory]:
         n, r, sensing, dtype = self.bodies, self.robots, self._sensing, self.dtype
-        states, contacts = np.zeros((count, n, 6), dtype), np.zeros((count, r), dtype)
+        states: np.ndarray = np.zeros((count, n, 6), dtype)
+        contacts: np.ndarray = np.zeros((count, r), dtype)
         kept = compute_memory_size(sensing, n, r)
         ideal = kept == 0 and sensing.noise == 0
         memory = Memory(
