@@ -62,6 +62,7 @@ class DiscModel:
         Args:
             physics: the drawn numbers of one episode.
         """
+        self.physics = physics
         names = self.scenario.bodies
         self._arena = self._arena._replace(on_off=physics.thruster_on_off)
         worlds = self._worlds = make_worlds(self._arena, 1, shifts=True, gains=True)

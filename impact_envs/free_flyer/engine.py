@@ -29,6 +29,7 @@ from impact_envs.free_flyer.worlds import (
     ACROSS,
     ALONG,
     CHANGE,
+    COMPRESSION,
     DRIFT_X,
     FELT,
     FRICTION,
@@ -283,9 +284,18 @@ def find_resting(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int,
 
 @compiled
 def hold(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: int, h: float) -> None:
-    """Add to the accelerations what keeps the pairs pressed on each other from closing in over a time h."""
+    """Add to the accelerations what keeps the pairs pressed on each other from closing in over a time h.
+
+    Normals are taken where velocities alone lead, as pymunk does: with those of the start, bodies that slide round
+    each other would drift apart and bounce.
+    """
     n = arena.discs.shape[0]
-    motion, contacts = scratch.motion, scratch.contacts
+    state, motion, contacts = worlds.state, scratch.motion, scratch.contacts
+    for i in range(n):
+        for axis in range(3):
+            place = axis if axis < 2 else 4
+            motion[c, i, COMPRESSION + axis] = state[k, i, place]
+            state[k, i, place] += h * state[k, i, 2 + axis if axis < 2 else 5]
     rows = 0
     for entry in range(count):
         pair = scratch.marks[c, entry, NEAR]
@@ -299,7 +309,8 @@ def hold(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: 
     relax(worlds, scratch, c, k, n, CHANGE, rows, 0.0, worlds.contact[k, FRICTION])
     for i in range(n):
         for axis in range(3):
-            motion[c, i, ACCELERATION + axis] += scratch.motion[c, i, CHANGE + axis] / h
+            state[k, i, axis if axis < 2 else 4] = motion[c, i, COMPRESSION + axis]
+            motion[c, i, ACCELERATION + axis] += motion[c, i, CHANGE + axis] / h
 
 
 @compiled
