@@ -171,7 +171,7 @@ def advance(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: 
         pressed = find_resting(arena, worlds, scratch, c, k, found) if found > 0 else 0
         if pressed > 0:
             # On walls, without friction, forces stay what they are; elsewhere they turn with the normal.
-            left = min(left, CONTACT_STEP) if pressed > 1 else left
+            left = CONTACT_STEP if pressed > 1 and left > CONTACT_STEP + SIMULTANEOUS else left
             hold(arena, worlds, scratch, c, k, found, left)
             count = find_near(arena, worlds, scratch, c, k, left)
         first = find_first(arena, worlds, scratch, c, k, count, left)
@@ -251,7 +251,7 @@ def is_beyond(arena: Arena, fixed: int, x: float, y: float, room: float) -> bool
 
 @compiled
 def find_resting(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: int) -> int:
-    """Mark the pairs that rest on each other; return 0 if none is pressed, 1 if all that are lie on walls, else 2.
+    """Mark the pairs that rest on each other; return 0 if none is pressed, 1 if all that are rest on walls, else 2.
 
     Where any is pressed, every pair that touches may become so, and counts as pressed.
     """
@@ -269,7 +269,8 @@ def find_resting(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int,
             # Parting bodies are pressed if the pressure turns them round within a contact step.
             pressed = pressed or press > max(REST_PRESS, -approach / CONTACT_STEP)
             scratch.marks[c, pair, REST] = 2 if press <= REST_PRESS else 1
-            turning = turning or j < n or arena.faces[arena.first_face[j - n], 4] < math.inf
+            # Forces on bodies that part a little, or not from a wall, change within the step.
+            turning = turning or approach < -REST_SPEED or j < n or arena.faces[arena.first_face[j - n], 4] < math.inf
             turning = turning or (worlds.body.shape[2] > OFFSET_X and is_offset(worlds, k, i))
     if not pressed:
         for entry in range(count):
