@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from impact_envs.compiled import announce
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE
 from impact_envs.free_flyer.schema import FreeFlyerScenario
@@ -20,7 +21,7 @@ from impact_envs.free_flyer.step import (
     Output,
     Rules,
     find_not_finite,
-    run_range,
+    run_tuples,
 )
 from impact_envs.free_flyer.task import SIGNALS, FreeFlyerTask
 from impact_envs.free_flyer.worlds import (
@@ -67,6 +68,7 @@ class Batch:
         dtype: type = np.float64,
         threads: int = 1,
     ) -> None:
+        announce(run_tuples)
         self.scenario, self.count, self.dtype = scenario, count, dtype
         task = FreeFlyerTask(scenario)
         arena, _ = make_arena(scenario)
@@ -94,6 +96,12 @@ class Batch:
         check_size(count, sum(array.nbytes for arrays in self._make_worlds(1, shifts, gains) for array in arrays))
         self._worlds, self._memory = self._make_worlds(count, shifts, gains)
         self._log = np.zeros((count, 0, ROW))
+        shared = (self._program, self._sensing, self._rules, self._memory)
+        self._arrays = (
+            *map(tuple, (arena, self._worlds, self._scratch)),
+            self._log,
+            *map(tuple, shared),
+        )
         self._threads = len(self._scratch.motion)
         self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
         self._todo = np.zeros(count, np.int64)
@@ -195,11 +203,11 @@ class Batch:
         )
 
     def _run(self, actions: np.ndarray, todo: np.ndarray, output: Output) -> None:
-        arrays = (self._arena, self._worlds, self._scratch, self._log, self._program, self._sensing, self._rules)
+        filled = tuple(output)
 
         def run(thread: int) -> None:
             first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
-            run_range(*arrays, self._memory, output, actions, todo, thread, first, end)
+            run_tuples(*self._arrays, filled, actions, todo, thread, first, end)
 
         if self._pool is None:
             run(0)

@@ -217,6 +217,42 @@ def run_range(
 
 
 @compiled
+def run_tuples(
+    arena: tuple,
+    worlds: tuple,
+    scratch: tuple,
+    log: np.ndarray,
+    program: tuple,
+    sensing: tuple,
+    rules: tuple,
+    memory: tuple,
+    output: tuple,
+    actions: np.ndarray,
+    todo: np.ndarray,
+    c: int,
+    first: int,
+    end: int,
+) -> None:
+    """``run_range`` for Python, which hands over plain tuples five times faster than NamedTuples."""
+    run_range(
+        Arena(*arena),
+        Worlds(*worlds),
+        Scratch(*scratch),
+        log,
+        Program(*program),
+        Sensing(*sensing),
+        Rules(*rules),
+        Memory(*memory),
+        Output(*output),
+        actions,
+        todo,
+        c,
+        first,
+        end,
+    )
+
+
+@compiled
 def find_not_finite(actions: np.ndarray) -> int:
     """Return the place of the first action that is no finite number, in a flat view, or -1."""
     for place in range(actions.size):
