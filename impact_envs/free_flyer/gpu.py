@@ -37,7 +37,7 @@ from impact_envs.free_flyer.worlds import (
 from impact_envs.stream import draw_doubles, seed_streams
 
 # numba's simulator runs the kernels as plain Python on arrays in main memory (NUMBA_ENABLE_CUDASIM=1).
-SIMULATED = bool(config.ENABLE_CUDASIM)
+SIMULATED = bool(config.ENABLE_CUDASIM)  # type: ignore[attr-defined]
 # Each thread keeps what a step computes with in its own local memory, 128 bytes per pair and 104 per body, and the
 # driver sets it aside for all threads that a GPU can hold.
 MOST_BODIES, MOST_PAIRS = 12, 256
@@ -274,7 +274,7 @@ def make_kernel(kinds: tuple[Any, ...], bodies: int, pairs: int, motion_size: in
         actions: Any,
         todo: Any,
     ) -> None:
-        k: Any = cuda.grid(1)
+        k: Any = cuda.grid(1)  # type: ignore[call-arg]
         if k < todo.shape[0]:
             motion = cuda.local.array((1, bodies, motion_size), float64)
             marks = cuda.local.array((1, pairs, 2), int64)
