@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
@@ -97,7 +98,7 @@ class Batch:
         self._worlds, self._memory = self._make_worlds(count, shifts, gains)
         self._log = np.zeros((count, 0, ROW))
         shared = (self._program, self._sensing, self._rules, self._memory)
-        self._arrays = (
+        self._arrays: tuple[Any, ...] = (
             *map(tuple, (arena, self._worlds, self._scratch)),
             self._log,
             *map(tuple, shared),
