@@ -129,7 +129,7 @@ class ImpactVecEnv(VecEnv):
         return self._view(observations, "agent_observations"), rewards, ended, infos
 
     def close(self) -> None:
-        """Give up the worlds' threads."""
+        """Close the worlds."""
         self.worlds.close()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:

@@ -13,29 +13,29 @@ import platform
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import tyro
-from engine_growth import measure_growth
+from engine_growth import measure_growth, measure_memory
 from engine_methods import (
     BARE_PYMUNK,
     COMPILED,
-    INSTALL,
     PETTINGZOO,
     PYMUNK,
     SPREAD,
     VECTOR,
     VMAS,
-    Episode,
     Method,
-    Setting,
     check_settings,
     make_methods,
 )
+from engine_ours import Episode, Setting, count_impacts
+from engine_peers import INSTALL
+from engine_plot import draw_rates
 from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -44,6 +44,7 @@ from rich.table import Table
 from impact_envs.errors import InputError
 
 WARM_UP = 5  # steps before a method's first repeat
+COUNTED = 1024  # worlds whose impacts are counted
 # Ours over a peer's, door beside like door.
 PAIRS = (
     (COMPILED, BARE_PYMUNK),
@@ -68,6 +69,8 @@ class Args:
     """Largest batch of peers that step one world after another in Python."""
     steps: int = 100
     """Control periods from reset that a repeat times; the reset itself is not timed."""
+    hold: int = 1
+    """Control periods that each random action is held: more of them bring more impacts."""
     repeats: int = 5
     """Rounds over all methods at a setting and batch size."""
     budget: float = 30.0
@@ -92,50 +95,59 @@ class Run:
     cpu_seconds: float  # of all threads of this process
 
 
-class Bench:
-    """What is measured so far, and what could not be."""
+@dataclass
+class Findings:
+    """Hold what is measured so far, and a line for each method that is missing."""
 
-    def __init__(self) -> None:
-        self.runs: list[Run] = []
-        self.missing: dict[str, str] = {}
+    runs: list[Run] = field(default_factory=list)
+    episodes: list[dict[str, Any]] = field(default_factory=list)
+    growth: list[dict[str, Any]] = field(default_factory=list)
+    missing: dict[str, str] = field(default_factory=dict)
 
 
 def main(args: Args) -> dict[str, Any]:
     """Measure, print the tables, and return what the JSON file holds."""
-    if min(args.repeats, args.steps, *args.batches) < 1 or not args.budget > 0:
-        raise InputError("repeats, steps, batches and budget must be positive")
-    settings, methods = check_settings(args.settings), make_methods(args.looped, max(args.batches))
-    machine, bench, growth = describe_machine(), Bench(), []
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    if min(args.repeats, args.steps, args.hold, *args.batches) < 1 or not args.budget > 0:
+        raise InputError("repeats, steps, hold, batches and budget must be positive")
+    machine, found = describe_machine(), Findings()
+    settings, methods = check_settings(args.settings, args.hold), make_methods(args.looped, max(args.batches))
     try:
-        with Progress(*columns, console=Console(stderr=True), refresh_per_second=1) as bar:
-            cells = [(setting, batch) for setting in settings for batch in args.batches]
-            task = bar.add_task("compiling", total=len(cells) * args.repeats)
-            for setting, batch in cells:
-                bar.update(task, description=f"{setting.name}, batch {batch}: making")
-                chosen = [method for method in methods if batch <= method.largest]
-                episodes = make_episodes(bench, chosen, setting, batch, args.steps)
-                for turn in range(args.repeats):
-                    bar.update(task, description=f"{setting.name}, batch {batch}")
-                    measure_round(bench, episodes, setting.name, batch, args, turn)
-                    bar.advance(task)
-            if args.growth:
-                bar.update(task, description="growth with bodies")
-                growth = measure_growth(args.steps, args.repeats)
+        measure_all(args, settings, methods, found)
     except KeyboardInterrupt:
-        print(f"stopped after {len(bench.runs)} measurements", file=sys.stderr)
+        print(f"stopped after {len(found.runs)} measurements", file=sys.stderr)
     machine["load after"] = format_load()
-    rates, ratios = make_rates(bench.runs, methods), make_ratios(bench.runs, methods)
-    print_results(machine, methods, bench, rates, ratios, growth)
-    record = {"machine": machine, "args": asdict(args), "rates": rates, "ratios": ratios, "growth": growth}
-    record |= {"missing": bench.missing, "runs": [asdict(run) for run in bench.runs]}
+    rates = make_rates(found.runs, methods)
+    ratios = make_ratios(rates)
+    print(", ".join(f"{key} {value}" for key, value in machine.items()), end="\n\n")
+    print_results(found, rates, ratios)
+    print(*(f"{method.name}: {method.note}" for method in methods), *found.missing.values(), sep="\n")
+    record = {"machine": machine, "args": asdict(args), "rates": rates, "ratios": ratios, **asdict(found)}
     if args.out:
         args.out.write_text(json.dumps(record, indent=1, default=str) + "\n", encoding="utf-8")
     if args.plot and rates:
-        from engine_plot import draw_rates
-
         draw_rates(rates, args.plot)
     return record
+
+
+def measure_all(args: Args, settings: Sequence[Setting], methods: Sequence[Method], found: Findings) -> None:
+    """Fill in all findings, cell by cell."""
+    cells = [(setting, batch) for setting in settings for batch in args.batches]
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), refresh_per_second=1) as bar:
+        task = bar.add_task("compiling", total=len(cells) * args.repeats)
+        for setting in settings:
+            counted = count_impacts(setting, min(COUNTED, max(args.batches)), args.steps)
+            found.episodes.append(counted | measure_memory(setting.scenario))
+        for setting, batch in cells:
+            bar.update(task, description=f"{setting.name}, batch {batch}")
+            chosen = [method for method in methods if batch <= method.largest]
+            episodes = make_episodes(found.missing, chosen, setting, batch, args.steps)
+            for turn in range(args.repeats):
+                measure_round(found.runs, episodes, setting.name, batch, args, turn)
+                bar.advance(task)
+        if args.growth:
+            bar.update(task, description="growth with bodies")
+            found.growth.extend(measure_growth(args.steps, args.repeats))
 
 
 def describe_machine() -> dict[str, str]:
@@ -161,15 +173,16 @@ def format_load() -> str:
 
 
 def make_episodes(
-    bench: Bench, methods: Sequence[Method], setting: Setting, batch: int, steps: int
+    missing: dict[str, str], methods: Sequence[Method], setting: Setting, batch: int, steps: int
 ) -> dict[str, Episode]:
     """Return the warm worlds of all methods whose packages are there."""
     episodes = {}
     for method in methods:
         try:
             episode = method.make(setting, batch, steps)
-        except ImportError as error:
-            bench.missing[method.name] = f"{method.name} is left out: {error}; {INSTALL}"
+        except (ImportError, InputError) as error:
+            remedy = f"; {INSTALL}" if isinstance(error, ImportError) else ""
+            missing[method.name] = f"{method.name} is left out: {error}{remedy}"
             continue
         episode.reset()
         episode.run(min(WARM_UP, steps))
@@ -177,17 +190,19 @@ def make_episodes(
     return episodes
 
 
-def measure_round(bench: Bench, episodes: dict[str, Episode], setting: str, batch: int, args: Args, turn: int) -> None:
+def measure_round(
+    runs: list[Run], episodes: dict[str, Episode], setting: str, batch: int, args: Args, turn: int
+) -> None:
     """Time every method once, unless its time is spent."""
     for name, episode in episodes.items():
-        spent = sum(run.seconds for run in bench.runs if (run.setting, run.batch, run.method) == (setting, batch, name))
+        spent = sum(run.seconds for run in runs if (run.setting, run.batch, run.method) == (setting, batch, name))
         if turn and spent > args.budget:
             continue
         episode.reset()
         start, cpu_start = time.perf_counter(), time.process_time()
         episode.run(args.steps)
         seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - cpu_start
-        bench.runs.append(Run(setting, name, batch, args.steps, seconds, cpu_seconds))
+        runs.append(Run(setting, name, batch, args.steps, seconds, cpu_seconds))
 
 
 def make_rates(runs: Sequence[Run], methods: Sequence[Method]) -> list[dict[str, Any]]:
@@ -207,14 +222,14 @@ def make_rates(runs: Sequence[Run], methods: Sequence[Method]) -> list[dict[str,
     return rates
 
 
-def make_ratios(runs: Sequence[Run], methods: Sequence[Method]) -> list[dict[str, Any]]:
+def make_ratios(rates: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return our median rate over a peer's, both of CPU time, wherever both are measured."""
-    rates = {(row["setting"], row["batch"], row["method"]): row["cpu_rate"] for row in make_rates(runs, methods)}
+    known = {(row["setting"], row["batch"], row["method"]): row["cpu_rate"] for row in rates}
     ratios = []
-    for setting, batch in dict.fromkeys((run.setting, run.batch) for run in runs):
+    for setting, batch in dict.fromkeys((row["setting"], row["batch"]) for row in rates):
         for ours, peer in PAIRS:
-            if {(setting, batch, ours), (setting, batch, peer)} <= rates.keys():
-                ratio = rates[setting, batch, ours] / rates[setting, batch, peer]
+            if {(setting, batch, ours), (setting, batch, peer)} <= known.keys():
+                ratio = known[setting, batch, ours] / known[setting, batch, peer]
                 ratios.append({"setting": setting, "ours": ours, "peer": peer, "batch": batch, "ratio": ratio})
     return ratios
 
@@ -243,42 +258,29 @@ def format_rate(row: dict[str, Any]) -> str:
     return f"{format_number(row['rate'])} ± {spread:.0%}" if row["repeats"] > 1 else format_number(row["rate"])
 
 
-def print_results(
-    machine: dict[str, str],
-    methods: Sequence[Method],
-    bench: Bench,
-    rates: Sequence[dict[str, Any]],
-    ratios: Sequence[dict[str, Any]],
-    growth: Sequence[dict[str, Any]],
-) -> None:
-    """Print the tables, which are Markdown too, and what they say."""
-    console = Console(width=200, soft_wrap=True)
-    text = {"markup": False, "highlight": False}
-    console.print(", ".join(f"{key} {value}" for key, value in machine.items()), **text)
-    print_table(
-        console,
-        "env-steps/s per second of CPU time",
-        make_rows(rates, ("setting", "method"), [*map(format_rate, rates)]),
-    )
+def print_results(found: Findings, rates: Sequence[dict[str, Any]], ratios: Sequence[dict[str, Any]]) -> None:
+    """Print the tables, which are Markdown as well."""
+    table = make_rows(rates, ("setting", "method"), [*map(format_rate, rates)])
+    for setting in dict.fromkeys(row["setting"] for row in table):
+        table += [dict.fromkeys(table[0], "-") | {"setting": setting, "method": name} for name in found.missing]
+    print_table("env-steps/s of CPU time, of wall time on all cores or a GPU; median ± half the spread", table)
     cells = [format(row["ratio"], ".3g" if row["ratio"] < 100 else ".0f") for row in ratios]
-    print_table(console, "ours / peer", make_rows(ratios, ("setting", "ours", "peer"), cells))
-    print_table(console, "growth", [{key: str(value) for key, value in row.items()} for row in growth])
-    for method in methods:
-        console.print(f"{method.name}: {method.note}", **text)
-    for line in bench.missing.values():
-        console.print(line, **text)
+    print_table("ours / peer, CPU time", make_rows(ratios, ("setting", "ours", "peer"), cells))
+    print_table("impacts in these episodes, memory of a world", found.episodes)
+    print_table("growth with bodies at equal room for each", found.growth)
 
 
-def print_table(console: Console, title: str, rows: Sequence[dict[str, str]]) -> None:
-    """Print rows of text."""
+def print_table(title: str, rows: Sequence[dict[str, Any]]) -> None:
+    """Print rows of text or numbers."""
     if not rows:
         return
-    table = Table(title=title, box=box.MARKDOWN, title_justify="left")
+    print(title)
+    table = Table(box=box.MARKDOWN)
     for name in rows[0]:
         table.add_column(name, justify="right" if name.startswith("batch") else "left", no_wrap=True)
     for row in rows:
-        table.add_row(*row.values())
-    console.print(table)
+        table.add_row(*map(str, row.values()))
+    Console(width=200).print(table)
 
 
 if __name__ == "__main__":

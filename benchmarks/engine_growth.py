@@ -47,12 +47,17 @@ def count_bytes(arrays: Iterable[np.ndarray]) -> int:
     return sum(sizes.values())
 
 
-def measure_memory(scenario: str | Scenario, dtype: Any = "float64") -> dict[str, float]:
+def measure_memory(scenario: str | Scenario) -> dict[str, int]:
     """Return the bytes per world of what a batch keeps, and of the joint observation, which it does not."""
-    envs = vector_env(scenario, num_envs=WORLDS, threads=1, dtype=dtype)
-    inner: Any = envs.batch
-    kept = count_bytes((*inner._worlds, *inner._memory, inner._todo))
-    return {"memory": kept / WORLDS, "observation": inner.make_output(False).joint.nbytes / WORLDS}
+    sizes = {}
+    names: tuple[Any, ...] = ("float64", "float32")
+    for dtype in names:
+        envs = vector_env(scenario, num_envs=WORLDS, threads=1, dtype=dtype)
+        inner: Any = envs.batch
+        kept = count_bytes((*inner._worlds, *inner._memory, inner._todo))
+        sizes[f"bytes per world, {dtype}"] = round(kept / WORLDS)
+        sizes[f"joint observation, {dtype}"] = round(inner.make_output(False).joint.nbytes / WORLDS)
+    return sizes
 
 
 def measure_growth(steps: int, repeats: int) -> list[dict[str, Any]]:
@@ -66,21 +71,13 @@ def measure_growth(steps: int, repeats: int) -> list[dict[str, Any]]:
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (steps, WORLDS, 3 * SIZES[-1][0]))
     for robots, objects in SIZES:
         yard = make_yard(robots, objects)
-        envs, seconds, impacts = vector_env(yard, num_envs=WORLDS, threads=1), [], 0
+        envs, seconds = vector_env(yard, num_envs=WORLDS, threads=1), []
         for _ in range(repeats + 1):  # the first one warms up
             envs.reset(seed=0)
             start = time.process_time()
-            impacts = sum(int(envs.step(action[:, : 3 * robots])[4]["impacts"].sum()) for action in actions)
+            for action in actions:
+                envs.step(action[:, : 3 * robots])
             seconds.append(time.process_time() - start)
-        double, single = measure_memory(yard), measure_memory(yard, "float32")
-        rows.append(
-            {
-                "bodies": f"{robots}+{objects}",
-                "us per env-step": round(median(seconds[1:]) / (steps * WORLDS) * 1e6, 3),
-                "impacts per env-step": round(impacts / (steps * WORLDS), 4),
-                "bytes per world, float64": round(double["memory"]),
-                "float32": round(single["memory"]),
-                "joint observation, float64": round(double["observation"]),
-            }
-        )
+        each = median(seconds[1:]) / (steps * WORLDS) * 1e6
+        rows.append({"bodies": f"{robots}+{objects}", "us per env-step": f"{each:.3g}"} | measure_memory(yard))
     return rows

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 STYLES = ("o-", "s--", "D-", "^:", "v-.", "P--", "X:", "*-")
 COLORS = ("#0b3c8c", "#8a8a8a", "#1f77b4", "#d62728", "#56b4e9", "#0b3c8c", "#e69f00", "#7f5539")
-ROOM = 0.085  # least distance of two labels, as a part of the axis
+ROOM = 0.042  # least distance of two labels, as a part of the axis
 
 
 def draw_rates(rates: Sequence[dict[str, Any]], path: Path) -> None:
@@ -24,6 +25,7 @@ def draw_rates(rates: Sequence[dict[str, Any]], path: Path) -> None:
     methods = list(dict.fromkeys(row["method"] for row in rates))
     figure = Figure(figsize=(6.4 * len(settings), 4.8), layout="constrained")
     panels = figure.subplots(1, len(settings), squeeze=False, sharey=True)[0]
+    labels = []
     for panel, setting in zip(panels, settings, strict=True):
         panel.set(
             xscale="log", yscale="log", title=f"{setting} bodies (robots + objects)", xlabel="worlds in the batch"
@@ -34,11 +36,13 @@ def draw_rates(rates: Sequence[dict[str, Any]], path: Path) -> None:
             line = [row for row in rates if (row["setting"], row["method"]) == (setting, method)]
             if line:
                 ends.append(_draw_line(panel, line, number))
-        _write_labels(panel, ends)
+        labels.append(ends)
         ticks = sorted({row["batch"] for row in rates})
         panel.set_xticks(ticks, [f"{tick:,}" for tick in ticks])
         panel.minorticks_off()
         panel.spines[["top", "right"]].set_visible(False)
+    for panel, ends in zip(panels, labels, strict=True):  # after all lines, which share their axis of y
+        _write_labels(panel, ends)
     panels[0].set_ylabel("env-steps/s (CPU time; all cores: wall time)")
     figure.savefig(path, dpi=130, metadata={"Software": None})
 
@@ -54,18 +58,19 @@ def _draw_line(panel: Any, line: Sequence[dict[str, Any]], number: int) -> tuple
 
 def _write_labels(panel: Any, ends: Sequence[tuple[float, float, str, str]]) -> None:
     """Write every line's name behind its end, names at the same batch size one above the other."""
-    panel.set_xlim(right=panel.get_xlim()[1] * 40)
-    to_axes = panel.transAxes.inverted()
+    panel.set_xlim(right=panel.get_xlim()[1] * 30)
+    low, high = panel.get_ylim()
     heights: dict[float, float] = {}
     for x, y, name, color in sorted(ends, key=lambda end: end[:2]):
-        left, height = to_axes.transform(panel.transData.transform((x, y)))
-        height = heights[x] = max(height, heights.get(x, -1.0) + ROOM / 2)
+        height = heights[x] = max(math.log(y / low) / math.log(high / low), heights.get(x, -1.0) + ROOM)
         panel.annotate(
             name,
-            (left + 0.015, height),
-            xycoords="axes fraction",
+            (x, height),
+            xycoords=("data", "axes fraction"),
+            xytext=(7, 0),
+            textcoords="offset points",
             color=color,
             fontsize=8,
             va="center",
-            annotation_clip=False,
+            bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
         )

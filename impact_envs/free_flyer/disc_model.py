@@ -54,7 +54,7 @@ class DiscModel:
         self._arena, self._names = make_arena(scenario)
         self._scratch = make_scratch(self._arena, 1)
         self._log = np.zeros((1, EVENTS, ROW))
-        self._controls = np.zeros((1, len(scenario.robots), 3))
+        self._controls = np.zeros((len(scenario.robots), 3))
         self._limits = self._arena.discs[: len(scenario.robots), LIMIT:].tolist()
         self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
 
@@ -119,7 +119,7 @@ class DiscModel:
         if controls.keys() != robots.keys():
             wrong = ", ".join(sorted(controls.keys() ^ robots.keys()))
             raise InputError(f"controls must name every robot once, not so: {wrong}; {choices(wrong, robots)}")
-        for row, limits, name in zip(self._controls[0], self._limits, robots, strict=True):
+        for row, limits, name in zip(self._controls, self._limits, robots, strict=True):
             command = np.asarray(controls[name], dtype=float).ravel().tolist()
             if len(command) != 3 or not all(map(math.isfinite, command)):
                 raise InputError(f"control of {name} = {command}: three finite numbers Fx, Fy, tau are needed")

@@ -17,6 +17,7 @@ from impact_envs.free_flyer.touch import find_touch
 from impact_envs.free_flyer.worlds import (
     ACCELERATION,
     DRIFT_X,
+    DRIFT_Y,
     FELT,
     HELD,
     HITS,
@@ -44,29 +45,28 @@ EVENTS = 1000
 
 
 @inlined
-def step_world(
-    arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: int, k: int, controls: np.ndarray
-) -> None:
+def step_world(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: int, k: int) -> None:
     """Advance world k by one control period under held controls.
 
     Args:
-        arena, worlds, scratch: see ``worlds.py``.
+        arena, worlds: see ``worlds.py``.
+        scratch: each robot's body-frame force and torque, within its limits, in the columns HELD [N], [N m].
         log: takes the impacts as rows time, i, j, point, normal, impulse, speed, shape (N, rows, 10); what finds no
             row is only counted.
         c: which room of the scratch.
         k: which world.
-        controls: body-frame force and torque of each robot within its limits, shape (N, r, 3) [N], [N m].
     """
     n = arena.discs.shape[0]
     worlds.counter[k, HITS] = 0
     for i in range(n):
         worlds.body[k, i, FELT] = 0.0
-        for axis in range(3):
-            scratch.motion[c, i, HELD + axis] = (
-                worlds.body[k, i, DRIFT_X + axis] if axis < 2 and worlds.body.shape[2] > DRIFT_X else 0.0
-            )
-    for i in range(arena.robots):
-        actuate(arena, worlds, scratch, c, k, i, controls)
+        if i < arena.robots:
+            actuate(arena, worlds, scratch, c, k, i)
+        else:
+            drifts = worlds.body.shape[2] > DRIFT_X
+            scratch.motion[c, i, HELD] = worlds.body[k, i, DRIFT_X] if drifts else 0.0
+            scratch.motion[c, i, HELD + 1] = worlds.body[k, i, DRIFT_Y] if drifts else 0.0
+            scratch.motion[c, i, HELD + 2] = 0.0
     advance(arena, worlds, scratch, log, c, k)
     worlds.counter[k, STEPS] += 1
 
@@ -95,27 +95,31 @@ def step_alone(
     """Advance world 0 and read its states: ``step_world`` for Python, which hands over arrays faster than tuples."""
     worlds = Worlds(state, body, thruster, contact, counter)
     arena = Arena(period, on_off, robots, discs, pairs, first_face, faces)
-    step_world(arena, worlds, Scratch(motion, marks, contacts), log, 0, 0, controls)
+    for i in range(robots):
+        for channel in range(3):
+            motion[0, i, HELD + channel] = controls[i, channel]
+    step_world(arena, worlds, Scratch(motion, marks, contacts), log, 0, 0)
     read_states(worlds, 0, states)
 
 
 @inlined
-def actuate(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, i: int, controls: np.ndarray) -> None:
+def actuate(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, i: int) -> None:
     """Turn robot i's command into accelerations; the force turns with the heading of mid-period free flight."""
-    fx, fy, tau = controls[k, i, 0], controls[k, i, 1], controls[k, i, 2]
+    held = scratch.motion
+    fx, fy, tau = held[c, i, HELD], held[c, i, HELD + 1], held[c, i, HELD + 2]
     if arena.on_off:
-        fx = quantise(worlds, k, i, 0, fx, arena.discs[i, LIMIT + 0])
+        fx = quantise(worlds, k, i, 0, fx, arena.discs[i, LIMIT])
         fy = quantise(worlds, k, i, 1, fy, arena.discs[i, LIMIT + 1])
     if worlds.thruster.shape[1] > 0:
-        fx *= worlds.thruster[k, i, 2 * 0 + (0 if fx >= 0 else 1)]
-        fy *= worlds.thruster[k, i, 2 * 1 + (0 if fy >= 0 else 1)]
-        tau *= worlds.thruster[k, i, 2 * 2 + (0 if tau >= 0 else 1)]
+        fx *= worlds.thruster[k, i, 0 if fx >= 0 else 1]
+        fy *= worlds.thruster[k, i, 2 if fy >= 0 else 3]
+        tau *= worlds.thruster[k, i, 4 if tau >= 0 else 5]
     if worlds.body.shape[2] > OFFSET_X:
         tau -= worlds.body[k, i, OFFSET_X] * fy - worlds.body[k, i, OFFSET_Y] * fx
     alpha = tau / worlds.body[k, i, INERTIA]
     middle = worlds.state[k, i, 4] + (worlds.state[k, i, 5] + alpha * arena.period / 4) * arena.period / 2
     cos, sin = math.cos(middle), math.sin(middle)
-    scratch.motion[c, i, HELD + 0] = (cos * fx - sin * fy) / worlds.body[k, i, MASS]
+    scratch.motion[c, i, HELD] = (cos * fx - sin * fy) / worlds.body[k, i, MASS]
     scratch.motion[c, i, HELD + 1] = (sin * fx + cos * fy) / worlds.body[k, i, MASS]
     scratch.motion[c, i, HELD + 2] = alpha
 

@@ -10,6 +10,7 @@ import inspect
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -163,12 +164,10 @@ class GpuBatch:
         if actions.shape != (self.count, self.robots, 3):
             raise InputError(f"actions have shape {tuple(actions.shape)}; ({self.count}, {self.robots}, 3) is needed")
         wrong = ~actions.isfinite().all(dim=2)
-        todo = torch.full((self.count,), STEP, device=self.device)
         starting = torch.zeros(self.count, dtype=torch.bool, device=self.device)
         if restart is not None:
             starting = torch.as_tensor(restart, device=self.device)
             wrong &= ~starting[:, None]
-            todo[starting] = START
         any_wrong, any_starting = torch.stack((wrong.any(), starting.any())).tolist()  # waits for the device once
         if any_wrong:
             world, robot = wrong.nonzero()[0].tolist()
@@ -178,7 +177,7 @@ class GpuBatch:
             )
         if any_starting:
             self._draw(starting.nonzero()[:, 0])
-        self._run(actions, todo, output)
+        self._run(actions, torch.where(starting, START, STEP), output)
 
     def make_output(self, agents: bool) -> Output:
         """Return fresh tensors for a step to fill.
@@ -298,9 +297,10 @@ def check_gpu() -> None:
         return
     if not torch.cuda.is_available():
         raise InputError(f"device 'cuda': torch {torch.__version__} finds no GPU; choices: cpu")
-    if not cuda.is_available():
+    # The target that numba itself still carries does not compile the kernel.
+    if find_spec("numba_cuda") is None or not cuda.is_available():
         wheel = f"numba-cuda[cu{str(torch.version.cuda).split('.')[0]}]"
-        raise InputError(f"device 'cuda': numba finds no CUDA; pip install '{wheel}', or choose cpu")
+        raise InputError(f"device 'cuda': numba-cuda is missing or finds no CUDA; pip install '{wheel}', or choose cpu")
 
 
 def check_room(name: str, bodies: int, pairs: int) -> None:

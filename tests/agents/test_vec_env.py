@@ -15,7 +15,6 @@ from impact_envs.errors import InputError
 SCENARIO = load_scenario("throw_and_catch").suite("all")
 WORLDS, CYCLES, STEPS, SEED = 3, 7, 24, 5
 ROBOTS = SCENARIO.agents
-NETWORK = {"policy_kwargs": {"net_arch": [16]}, "device": "cpu", "seed": 0}
 
 
 @pytest.fixture(autouse=True)
@@ -31,6 +30,10 @@ def make_envs(worlds=WORLDS, per_robot=False, dtype="float64", cycles=CYCLES, se
     if seed is not None:
         envs.seed(seed)
     return envs
+
+
+def make_model(algorithm, envs, **options):
+    return algorithm("MlpPolicy", envs, policy_kwargs={"net_arch": [16]}, device="cpu", seed=0, **options)
 
 
 def draw_actions(worlds=WORLDS, steps=STEPS):
@@ -123,7 +126,7 @@ def test_an_end_is_a_truncation_whose_observation_is_the_last_one(per_robot):
 @pytest.mark.parametrize("per_robot", [False, True])
 def test_ppo_adds_the_value_of_the_last_observation_to_a_truncated_return(per_robot):
     envs, value = make_envs(per_robot=per_robot), 10.0
-    model = PPO("MlpPolicy", envs, n_steps=CYCLES, batch_size=CYCLES, n_epochs=1, gamma=0.5, **NETWORK)
+    model = make_model(PPO, envs, n_steps=CYCLES, batch_size=CYCLES, n_epochs=1, gamma=0.5)
     torch.nn.init.zeros_(model.policy.value_net.weight)
     torch.nn.init.constant_(model.policy.value_net.bias, value)
     model.learn(CYCLES * envs.num_envs)
@@ -134,7 +137,7 @@ def test_ppo_adds_the_value_of_the_last_observation_to_a_truncated_return(per_ro
 
 def test_sac_stores_the_last_observation_and_no_termination():
     envs = make_envs()
-    model = SAC("MlpPolicy", envs, learning_starts=10**6, buffer_size=300, **NETWORK)
+    model = make_model(SAC, envs, learning_starts=10**6, buffer_size=300)
     model.learn(WORLDS * (CYCLES + 1))
     buffer = model.replay_buffer
     assert buffer.dones[CYCLES - 1].all()
@@ -151,7 +154,7 @@ def test_sac_stores_the_last_observation_and_no_termination():
 def test_learners_train_predict_and_come_back_from_disk(algorithm, per_robot, dtype, tmp_path):
     envs = VecNormalize(make_envs(8, per_robot, dtype, cycles=20))
     short = {"n_steps": 16, "batch_size": 64} if algorithm is PPO else {"learning_starts": 100, "buffer_size": 2000}
-    model = algorithm("MlpPolicy", envs, **short, **NETWORK)
+    model = make_model(algorithm, envs, **short)
     before = {name: tensor.clone() for name, tensor in model.policy.state_dict().items()}
     model.learn(640)
     moved = [name for name, tensor in model.policy.state_dict().items() if not torch.equal(tensor, before[name])]
@@ -184,7 +187,7 @@ def test_normalize_shows_the_learner_a_normalized_last_observation():
 
 def test_evaluation_counts_returns_as_the_worlds_do():
     envs = make_envs()
-    model = PPO("MlpPolicy", make_envs(seed=None), n_steps=8, batch_size=8, **NETWORK)
+    model = make_model(PPO, make_envs(seed=None), n_steps=8, batch_size=8)
     mine, lengths = evaluate_policy(model, envs, 2 * WORLDS, return_episode_rewards=True)
     assert lengths == [CYCLES] * (2 * WORLDS)
     single, expected = JointEnv(SCENARIO, max_cycles=CYCLES), []
@@ -218,6 +221,19 @@ def test_a_reset_forgets_the_unfinished_episode():
     for row in actions[:CYCLES]:
         infos = envs.step(row)[-1]
     assert [info["episode"]["l"] for info in infos] == [CYCLES] * WORLDS
+
+
+def test_only_the_worlds_whose_episode_ended_tell_of_it():
+    envs = make_envs(per_robot=True)
+    envs.reset()
+    actions = draw_actions().reshape(STEPS, -1, 3)
+    for row in actions[:3]:
+        envs.step(row)
+    envs.worlds.reset(options={"reset_mask": np.array([False, True, False])})
+    for row in actions[3:CYCLES]:
+        _, _, ended, infos = envs.step(row)
+    assert ended.tolist() == [True, True, False, False, True, True]
+    assert [bool(info) for info in infos] == ended.tolist()
 
 
 def test_arrays_are_fresh_at_every_step():
