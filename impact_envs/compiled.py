@@ -5,6 +5,7 @@ Such a function takes numbers, arrays and NamedTuples of them, allocates nothing
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Callable
 from functools import cache
@@ -16,6 +17,7 @@ from typing import Any, TypeVar
 import numba
 from numba.core.dispatcher import Dispatcher
 
+_log = logging.getLogger(__name__)
 ROOT = Path(__file__).parents[1]
 # Nothing is allocated, so arrays need no reference counts; counting them costs as much as all the rest.
 OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False, "nogil": True}
@@ -56,6 +58,20 @@ def _read_sources(file: Path) -> bytes:
             modules = re.findall(r"^from (\w+(?:\.\w+)+) import", text, re.MULTILINE)
             todo += [ROOT.joinpath(*module.split(".")).with_suffix(".py") for module in modules]
     return sha256("".join(seen[path] for path in sorted(seen)).encode()).digest()
+
+
+def is_compiled(function: Any) -> bool:
+    """Return whether a function can run at once, because it ran before or its code is on disk."""
+    if not hasattr(function, "py_func"):
+        return True
+    return bool(function.signatures) or bool(function._cache._cache_file._load_index())
+
+
+@cache
+def announce(function: Any) -> None:
+    """Say, once, that the first call of a function will take long."""
+    if not is_compiled(function):
+        _log.warning("compiling the engine for this machine: up to a minute, this once")
 
 
 def retarget(function: Any, decorate: Callable[[FunctionType], Any]) -> Any:

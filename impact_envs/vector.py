@@ -17,8 +17,10 @@ from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.batch import Batch
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import Scenario, load_scenario
+from impact_envs.stream import LARGEST_SEED
 
 DTYPES = {"float64": np.float64, "float32": np.float32}
+DEVICES = ("cpu", "cuda")
 
 
 class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
@@ -27,10 +29,10 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
     Action and observation spaces, rewards, starting state, episode end: as JointEnv.
 
     Observations, rewards and infos are fresh arrays at every call. ``infos`` carries ``robustness_lower``,
-    ``robustness_upper``, ``impacts`` (in the last control period) and ``overflow`` (control periods since reset with more
-    events than are followed; 0 unless the engine's rules failed) of every world; where an episode ended also
+    ``robustness_upper``, ``impacts`` (in the last control period) and ``overflow`` (control periods since reset with
+    more events than are followed; 0 unless the engine's rules failed) of every world; where an episode ended also
     ``robustness`` and ``success``, marked by ``_robustness`` and ``_success``; with autoreset in the same step
-    ``final_obs``, marked by ``_final_obs``.
+    ``final_obs``, marked by ``_final_obs``, and ``final_info``, the infos of the end of all worlds.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario; of discs.
@@ -41,10 +43,11 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         threads: that share the worlds; all cores if not given.
         tensors: take and return torch tensors that share memory with the arrays.
         per_robot: compute each robot's own observation too (``agent_observations``).
+        device: ``cpu``, or ``cuda`` for a GPU: everything taken and returned is a torch tensor there.
 
     Raises:
         ScenarioError: the scenario cannot be read.
-        InputError: polygons, another domain, or more worlds than fit into memory.
+        InputError: polygons, another domain, more worlds than fit into memory, or no such device.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         threads: int | None = None,
         tensors: bool = False,
         per_robot: bool = False,
+        device: Literal["cpu", "cuda"] = "cpu",
     ) -> None:
         loaded = load_scenario(scenario)
         if not isinstance(loaded, FreeFlyerScenario) or loaded.engine == "pymunk" or loaded.has_polygons:
@@ -66,19 +70,34 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             )
         if dtype not in DTYPES:
             raise InputError(f"dtype '{dtype}' is unknown; {choices(dtype, DTYPES)}")
-        self.scenario, self.num_envs, self.tensors, self.per_robot = loaded, num_envs, tensors, per_robot
+        if device not in DEVICES:
+            raise InputError(f"device '{device}' is unknown; {choices(device, DEVICES)}")
+        self.scenario, self.num_envs, self.per_robot, self.device = loaded, num_envs, per_robot, device
+        self.tensors = tensors or device == "cuda"
+        modes = [mode.value for mode in AutoresetMode]
+        if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in modes:
+            raise InputError(f"autoreset_mode '{autoreset_mode}' is unknown; {choices(str(autoreset_mode), modes)}")
+        for name, number in (("num_envs", num_envs), ("threads", threads or 1)):
+            if not isinstance(number, int | np.integer) or number < 1:
+                raise InputError(f"{name} = {number}: a whole number from 1 is needed")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.autoreset_mode}
-        threads = threads or len(os.sched_getaffinity(0))
-        self.batch = Batch(loaded, num_envs, EFFORT_WEIGHT, max_cycles, DTYPES[dtype], threads)
+        self.batch: Any
+        if device == "cuda":
+            from impact_envs.free_flyer.gpu import GpuBatch
+
+            self.batch = GpuBatch(loaded, num_envs, EFFORT_WEIGHT, max_cycles, DTYPES[dtype])
+        else:
+            threads = threads or len(os.sched_getaffinity(0))
+            self.batch = Batch(loaded, num_envs, EFFORT_WEIGHT, max_cycles, DTYPES[dtype], threads)
         size = self.batch.joint_size
         self.single_observation_space = Box(-np.inf, np.inf, (size,), DTYPES[dtype])
         self.single_action_space = Box(-1.0, 1.0, (3 * self.batch.robots,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._output = self.batch.make_output(per_robot)
-        self._over = np.zeros(num_envs, bool)
-        self._seeded = False
+        self._over = self._falses()
+        self._started = np.zeros(num_envs, bool)
 
     @property
     def agent_observations(self) -> Any:
@@ -107,19 +126,20 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         """
         mask = self._check_mask((options or {}).get("reset_mask"))
         chosen = np.flatnonzero(mask)
-        if seed is None and not self._seeded:
+        if seed is None and not self._started.any():
             seed = int(np.random.SeedSequence().entropy) % 2**62  # type: ignore[arg-type]
         if seed is not None:
-            seeds = np.arange(seed, seed + self.num_envs) if isinstance(seed, int | np.integer) else np.asarray(seed)
-            if seeds.shape != (self.num_envs,):
-                raise InputError(f"seed has shape {seeds.shape}; one number, or one for each of {self.num_envs} worlds")
-            self.batch.seed(chosen, seeds[chosen])
-            self._seeded = True
+            self.batch.seed(chosen, self._make_seeds(seed, chosen))
+            super().reset(seed=seed if isinstance(seed, int) else None)
+        if not (self._started | mask).all():
+            world = int(np.argmin(self._started | mask))
+            raise InputError(f"reset_mask leaves out world {world}, which was never reset: reset all worlds first")
+        self._started[:] = True
         output = self._fresh(copy=not mask.all())
         self.batch.start(mask, output)
         self._output = output
-        self._over[mask] = False
-        return self._give(output.joint), self._infos(np.zeros(self.num_envs, bool))
+        self._over &= self._take(~mask)
+        return self._give(output.joint), self._infos(self._falses())
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Hold the actions for one control period.
@@ -134,31 +154,44 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             InputError: an action that is no finite number, naming world and robot; before ``reset``; or, without
                 autoreset, a world whose episode is over. Nothing was stepped.
         """
-        if not self._seeded:
+        if not self._started.all():
             raise InputError("step before reset: call reset first")
-        actions = np.asarray(actions).reshape(self.num_envs, -1, 3)
+        actions = self._take(actions)
+        if tuple(actions.shape) != self.action_space.shape:
+            raise InputError(f"actions have shape {tuple(actions.shape)}; {self.action_space.shape} is needed")
         if self.autoreset_mode == AutoresetMode.DISABLED and self._over.any():
-            world = int(np.argmax(self._over))
+            world = self._over.tolist().index(True)
             raise InputError(f"the episode of world {world} is over: reset it with options={{'reset_mask': ...}}")
         restart = self._over if self.autoreset_mode == AutoresetMode.NEXT_STEP else None
         output = self._fresh(copy=False)
-        self.batch.step(actions, output, restart)
+        self.batch.step(actions.reshape(self.num_envs, -1, 3), output, restart)
         self._output = output
         over = self.batch.over
-        rewards = _sum_rows(output.rewards)
+        rewards = self._sum_robots(output.rewards)
         infos = self._infos(over)
+        self._over = _copy(over)
+        truncations = _copy(over)
         if self.autoreset_mode == AutoresetMode.SAME_STEP and over.any():
-            infos |= {"final_obs": self._give(output.joint.copy()), "_final_obs": self._give(over)}
-            if self.per_robot:
-                infos |= {"final_agent_obs": self._give(output.agents.copy()), "_final_agent_obs": self._give(over)}
-            rewards_of_robots = output.rewards.copy()
-            self.batch.start(over, output)
-            output.rewards[:] = rewards_of_robots
-            self._over = np.zeros(self.num_envs, bool)
-        else:
-            self._over = over.copy()
+            infos = self._start_over(over, output, infos)
         give = self._give
-        return give(output.joint), give(rewards), give(np.zeros(self.num_envs, bool)), give(over.copy()), infos
+        return give(output.joint), give(rewards), give(self._falses()), give(truncations), infos
+
+    def _start_over(self, over: Any, output: Any, infos: dict[str, Any]) -> dict[str, Any]:
+        """Start the next episode where one is over; return infos of its start, and of the end."""
+        ends = {"robustness", "_robustness", "success", "_success"}
+        final = {"final_obs": self._give(_copy(output.joint)), "final_info": infos}
+        if self.per_robot:
+            final |= {"final_agent_obs": self._give(_copy(output.agents))}
+        final |= {f"_{name}": self._give(_copy(over)) for name in final}
+        rewards = _copy(output.rewards)
+        self.batch.start(over, output)
+        output.rewards[:] = rewards
+        self._over = self._falses()
+        return self._infos(self._falses()) | {name: infos[name] for name in ends} | final
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Let the threads go."""
+        self.batch.close()
 
     def _fresh(self, copy: bool) -> Any:
         output = self.batch.make_output(self.per_robot)
@@ -167,20 +200,32 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
                 new[:] = old
         return output
 
-    def _infos(self, over: np.ndarray) -> dict[str, Any]:
-        low, high = self.batch.bounds.T.copy()
-        everywhere = np.ones(self.num_envs, bool)
+    def _infos(self, over: Any) -> dict[str, Any]:
+        low, high = (_copy(self.batch.bounds[:, end]) for end in (0, 1))
         values = {
             "robustness_lower": low,
             "robustness_upper": high,
-            "impacts": self.batch.impacts.copy(),
-            "overflow": self.batch.overflow.copy(),
+            "impacts": _copy(self.batch.impacts),
+            "overflow": _copy(self.batch.overflow),
         }
-        infos = values | {f"_{name}": everywhere.copy() for name in values}
+        infos = values | {f"_{name}": ~self._falses() for name in values}
         if over.any():
-            infos |= {"robustness": np.where(over, low, 0.0), "_robustness": over.copy()}
-            infos |= {"success": over & (low > 0), "_success": over.copy()}
+            infos |= {"robustness": low * over, "_robustness": _copy(over)}
+            infos |= {"success": over & (low > 0), "_success": _copy(over)}
         return {name: self._give(value) for name, value in infos.items()}
+
+    def _make_seeds(self, seed: Any, worlds: np.ndarray) -> np.ndarray:
+        """Return the seeds of some worlds, shape (m,)."""
+        if isinstance(seed, int | np.integer):
+            seed = range(int(seed), int(seed) + self.num_envs)
+        if np.shape(seed) != (self.num_envs,):
+            raise InputError(f"seed has shape {np.shape(seed)}; one number, or one for each of {self.num_envs} worlds")
+        if isinstance(seed, range) and seed[0] >= 0 and seed[-1] <= LARGEST_SEED:
+            return seed[0] + worlds
+        for world in worlds.tolist():
+            if not isinstance(seed[world], int | np.integer) or not 0 <= seed[world] <= LARGEST_SEED:
+                raise InputError(f"seed of world {world} = {seed[world]}: a whole number from 0 to 2**63 - 1 is needed")
+        return np.array([int(seed[world]) for world in worlds.tolist()], np.int64)
 
     def _check_mask(self, mask: Any) -> np.ndarray:
         if mask is None:
@@ -193,13 +238,31 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             )
         return mask
 
-    def _give(self, array: np.ndarray) -> Any:
-        """Return the array, or a tensor over the same memory."""
-        if not self.tensors:
+    def _take(self, values: Any) -> Any:
+        """Return what a caller gives as the batch takes it."""
+        if self.device == "cpu":
+            return np.asarray(values)
+        import torch
+
+        return torch.as_tensor(values, device=self.batch.device)
+
+    def _give(self, array: Any) -> Any:
+        """Return an array, or a tensor over the same memory."""
+        if not self.tensors or self.device == "cuda":
             return array
         import torch
 
         return torch.from_numpy(array)
+
+    def _falses(self) -> Any:
+        return self._take(np.zeros(self.num_envs, bool))
+
+    def _sum_robots(self, rewards: Any) -> Any:
+        """Return the sum over robots in float64, added in their order as JointEnv does, shape (num_envs,)."""
+        total = self._take(np.zeros(self.num_envs))
+        for column in rewards.T:
+            total += column
+        return total
 
 
 def vector_env(scenario: str | Path | Scenario, num_envs: int = 1, **options: Any) -> ImpactVectorEnv:
@@ -220,9 +283,5 @@ def vector_env(scenario: str | Path | Scenario, num_envs: int = 1, **options: An
     return ImpactVectorEnv(scenario, num_envs, **options)
 
 
-def _sum_rows(rewards: np.ndarray) -> np.ndarray:
-    """Return the sum over robots, added in their order as JointEnv does, shape (num_envs,)."""
-    total = np.zeros(len(rewards))
-    for column in rewards.T:
-        total += column
-    return total
+def _copy(array: Any) -> Any:
+    return array.copy() if isinstance(array, np.ndarray) else array.clone()

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any, cast
 
 import numpy as np
 
+from impact_envs.compiled import announce
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE
 from impact_envs.free_flyer.schema import FreeFlyerScenario
@@ -20,7 +22,7 @@ from impact_envs.free_flyer.step import (
     Output,
     Rules,
     find_not_finite,
-    run_range,
+    run_tuples,
 )
 from impact_envs.free_flyer.task import SIGNALS, FreeFlyerTask
 from impact_envs.free_flyer.worlds import (
@@ -67,6 +69,7 @@ class Batch:
         dtype: type = np.float64,
         threads: int = 1,
     ) -> None:
+        announce(run_tuples)
         self.scenario, self.count, self.dtype = scenario, count, dtype
         task = FreeFlyerTask(scenario)
         arena, _ = make_arena(scenario)
@@ -91,11 +94,18 @@ class Batch:
         self.joint_size = BODY_SIZE * self.bodies + self.robots + TAIL_SIZE - 1
         self.agent_size = BODY_SIZE * self.bodies + TAIL_SIZE
         self._arena, self._scratch = arena, make_scratch(arena, min(threads, count))
-        check_size(count, sum(array.nbytes for arrays in self._make_worlds(1, shifts, gains) for array in arrays))
+        arrays = [array for group in self._make_worlds(1, shifts, gains) for array in group]
+        check_size(count, sum({array.ctypes.data: array.nbytes for array in arrays}.values()))
         self._worlds, self._memory = self._make_worlds(count, shifts, gains)
         self._log = np.zeros((count, 0, ROW))
+        shared = (self._program, self._sensing, self._rules, self._memory)
+        self._arrays: tuple[Any, ...] = (
+            *map(tuple, (arena, self._worlds, self._scratch)),
+            self._log,
+            *map(tuple, shared),
+        )
         self._threads = len(self._scratch.motion)
-        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
+        self._pool: ThreadPoolExecutor | None = None
         self._todo = np.zeros(count, np.int64)
 
     @property
@@ -181,6 +191,15 @@ class Batch:
             self._draw(np.flatnonzero(restart))
         self._run(actions, todo, output)
 
+    def close(self) -> None:
+        """Let the threads go; the next step starts new ones."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pool": None}
+
     def make_output(self, agents: bool) -> Output:
         """Return fresh arrays for a step to fill.
 
@@ -195,16 +214,18 @@ class Batch:
         )
 
     def _run(self, actions: np.ndarray, todo: np.ndarray, output: Output) -> None:
-        arrays = (self._arena, self._worlds, self._scratch, self._log, self._program, self._sensing, self._rules)
+        filled, call = tuple(output), cast(Any, run_tuples)
 
         def run(thread: int) -> None:
             first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
-            run_range(*arrays, self._memory, output, actions, todo, thread, first, end)
+            call(*self._arrays, filled, actions, todo, thread, first, end)
 
-        if self._pool is None:
+        if self._threads == 1:
             run(0)
-        else:  # threads rather than numba.prange, which compiles everything once more
-            list(self._pool.map(run, range(self._threads)))
+            return
+        # Threads rather than numba.prange, which compiles everything once more.
+        self._pool = self._pool or ThreadPoolExecutor(self._threads)
+        list(self._pool.map(run, range(self._threads)))
 
     def _draw(self, worlds: np.ndarray) -> None:
         if len(worlds) == 0:
@@ -221,7 +242,8 @@ class Batch:
 
     def _make_worlds(self, count: int, shifts: bool, gains: bool) -> tuple[Worlds, Memory]:
         n, r, sensing, dtype = self.bodies, self.robots, self._sensing, self.dtype
-        states, contacts = np.zeros((count, n, 6), dtype), np.zeros((count, r), dtype)
+        states: np.ndarray = np.zeros((count, n, 6), dtype)
+        contacts: np.ndarray = np.zeros((count, r), dtype)
         kept = compute_memory_size(sensing, n, r)
         ideal = kept == 0 and sensing.noise == 0
         memory = Memory(
@@ -235,7 +257,6 @@ class Batch:
             felt=contacts if ideal else np.zeros_like(contacts),
             monitor=np.zeros((count, memory_size(self._program)), dtype),
             bounds=np.zeros((count, 2), dtype),
-            controls=np.zeros((count, r, 3)),
         )
         return make_worlds(self._arena, count, shifts, gains, dtype), memory
 

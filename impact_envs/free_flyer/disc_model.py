@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from impact_envs.compiled import announce
 from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.engine import EVENTS, step_alone
 from impact_envs.free_flyer.model import FreeFlyerModel
@@ -48,11 +49,12 @@ class DiscModel:
     """
 
     def __init__(self, scenario: FreeFlyerScenario) -> None:
+        announce(step_alone)
         self.scenario = scenario
         self._arena, self._names = make_arena(scenario)
         self._scratch = make_scratch(self._arena, 1)
         self._log = np.zeros((1, EVENTS, ROW))
-        self._controls = np.zeros((1, len(scenario.robots), 3))
+        self._controls = np.zeros((len(scenario.robots), 3))
         self._limits = self._arena.discs[: len(scenario.robots), LIMIT:].tolist()
         self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
 
@@ -62,6 +64,7 @@ class DiscModel:
         Args:
             physics: the drawn numbers of one episode.
         """
+        self.physics = physics
         names = self.scenario.bodies
         self._arena = self._arena._replace(on_off=physics.thruster_on_off)
         worlds = self._worlds = make_worlds(self._arena, 1, shifts=True, gains=True)
@@ -116,12 +119,11 @@ class DiscModel:
         if controls.keys() != robots.keys():
             wrong = ", ".join(sorted(controls.keys() ^ robots.keys()))
             raise InputError(f"controls must name every robot once, not so: {wrong}; {choices(wrong, robots)}")
-        for row, limits, name in zip(self._controls[0], self._limits, robots, strict=True):
-            command = [float(u) for u in controls[name]]
+        for row, limits, name in zip(self._controls, self._limits, robots, strict=True):
+            command = np.asarray(controls[name], dtype=float).ravel().tolist()
             if len(command) != 3 or not all(map(math.isfinite, command)):
                 raise InputError(f"control of {name} = {command}: three finite numbers Fx, Fy, tau are needed")
-            for channel, (u, limit) in enumerate(zip(command, limits, strict=True)):
-                row[channel] = min(max(u, -limit), limit)
+            row[:] = [-limit if u < -limit else min(u, limit) for u, limit in zip(command, limits, strict=True)]
         step_alone(*self._arena, *self._worlds, *self._scratch, self._log, self._controls, self._states)
         hits = int(self._worlds.counter[0, HITS])
         return [self._impact(row) for row in self._log[0, :hits].tolist()] if hits else []

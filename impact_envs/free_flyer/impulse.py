@@ -7,12 +7,14 @@ Compiled scalar functions, the law of ``physics.impact.solve_contacts`` without 
 from __future__ import annotations
 
 from impact_envs.compiled import compiled
+from impact_envs.free_flyer.touch import find_approach, find_gap
 from impact_envs.free_flyer.worlds import (
     ACROSS,
     ALONG,
     CHANGE,
     COMPRESSION,
     FRICTION,
+    GAP,
     INERTIA,
     MASS,
     NX,
@@ -23,12 +25,25 @@ from impact_envs.free_flyer.worlds import (
     PY,
     SLIP,
     SLIP_GOAL,
+    Arena,
     I,
     J,
     Scratch,
     Worlds,
 )
 from impact_envs.physics.impact import SMALL_CHANGE, SWEEPS
+
+
+@compiled
+def write_contact(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, row: int, pair: int) -> None:
+    """Write a pair's contact as it is now."""
+    contacts = scratch.contacts
+    i, j = arena.pairs[pair, 0], arena.pairs[pair, 1]
+    gap, nx, ny, px, py = find_gap(arena, worlds, scratch, c, k, i, j, 0.0)
+    contacts[c, row, I], contacts[c, row, J], contacts[c, row, GAP] = i, j, gap
+    contacts[c, row, NX], contacts[c, row, NY], contacts[c, row, PX], contacts[c, row, PY] = nx, ny, px, py
+    contacts[c, row, PARTING] = -find_approach(arena, worlds, k, i, j, nx, ny, px, py)
+    contacts[c, row, SLIP] = -find_approach(arena, worlds, k, i, j, -ny, nx, px, py)
 
 
 @compiled

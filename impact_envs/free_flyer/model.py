@@ -186,14 +186,17 @@ class FreeFlyerModel:
         impacts: list[Impact] = []
         solver: ContactSolver | None = None
         held = [(body.ax, body.ay, body.alpha) for body in self._movable]
-        t = 0.0
+        t = held_for = 0.0
         for _ in range(EVENTS):
             left = period - t
             near = self._near_pairs(left)
             pressed, idle = self._resting(near)
             if pressed:
-                left = min(left, CONTACT_STEP)
-                solver = solver or ContactSolver(self._bodies, self.physics.friction)
+                # No last step of mere rounding: pymunk divides by it.
+                left = CONTACT_STEP if left > CONTACT_STEP + SIMULTANEOUS else left
+                # pymunk starts from the last step's impulses, and scales them wrongly when the steps differ.
+                if solver is None or left != held_for:
+                    solver, held_for = ContactSolver(self._bodies, self.physics.friction), left
                 solver.hold(pressed, left)
                 near = self._near_pairs(left)
             first, hits = self._first_impact(near, pressed | idle, left)

@@ -19,7 +19,18 @@ from impact_envs.free_flyer.sensing import (
     write_agent_observation,
     write_joint_observation,
 )
-from impact_envs.free_flyer.worlds import FELT, LIMIT, OWED, STEPS, Arena, Scratch, Worlds, read_states, write_states
+from impact_envs.free_flyer.worlds import (
+    FELT,
+    HELD,
+    LIMIT,
+    OWED,
+    STEPS,
+    Arena,
+    Scratch,
+    Worlds,
+    read_states,
+    write_states,
+)
 from impact_envs.stl.program import Program
 from impact_envs.stl.stepper import start_monitor, update_monitor
 from impact_envs.stream import next_double
@@ -56,7 +67,6 @@ class Memory(NamedTuple):
         measured, felt: states and contacts as measured; of ideal sensors ``states`` and ``contacts`` themselves.
         monitor: of the formula, shape (N, ...).
         bounds: interval of robustness still possible, shape (N, 2) [m].
-        controls: body-frame force and torque, shape (N, r, 3) [N], [N m].
     """
 
     states: np.ndarray
@@ -69,7 +79,6 @@ class Memory(NamedTuple):
     felt: np.ndarray
     monitor: np.ndarray
     bounds: np.ndarray
-    controls: np.ndarray
 
 
 class Output(NamedTuple):
@@ -115,8 +124,8 @@ def step_task(
     for i in range(arena.robots):
         for channel in range(3):
             u = min(max(float(actions[k, i, channel]), -1.0), 1.0)
-            memory.controls[k, i, channel] = u * arena.discs[i, LIMIT + channel]
-    step_world(arena, worlds, scratch, log, c, k, memory.controls)
+            scratch.motion[c, i, HELD + channel] = u * arena.discs[i, LIMIT + channel]
+    step_world(arena, worlds, scratch, log, c, k)
     read_states(worlds, k, memory.states)
     for i in range(arena.robots):
         memory.contacts[k, i] = 1.0 if worlds.body[k, i, FELT] > FELT_SPEED else 0.0
@@ -214,6 +223,42 @@ def run_range(
             step_task(arena, worlds, scratch, log, program, sensing, rules, memory, output, c, k, actions)
         elif todo[k] == START:
             start_task(worlds, program, sensing, rules, memory, output, k)
+
+
+@compiled
+def run_tuples(
+    arena: tuple,
+    worlds: tuple,
+    scratch: tuple,
+    log: np.ndarray,
+    program: tuple,
+    sensing: tuple,
+    rules: tuple,
+    memory: tuple,
+    output: tuple,
+    actions: np.ndarray,
+    todo: np.ndarray,
+    c: int,
+    first: int,
+    end: int,
+) -> None:
+    """``run_range`` for Python, which hands over plain tuples five times faster than NamedTuples."""
+    run_range(
+        Arena(*arena),
+        Worlds(*worlds),
+        Scratch(*scratch),
+        log,
+        Program(*program),
+        Sensing(*sensing),
+        Rules(*rules),
+        Memory(*memory),
+        Output(*output),
+        actions,
+        todo,
+        c,
+        first,
+        end,
+    )
 
 
 @compiled

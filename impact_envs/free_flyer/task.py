@@ -57,18 +57,17 @@ class FreeFlyerTask:
 
     def controls(self, actions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Scale actions to body-frame force and torque [N, N, N m], shape (3,) each."""
-        # Plain numbers: arrays of three cost more than the whole step.
+        # Plain numbers: arithmetic on arrays of three costs more than the whole step.
         return {
-            name: np.array([min(max(float(u), -1.0), 1.0) * w for u, w in zip(action, self._limits[name], strict=True)])
+            name: np.array([u * limit for u, limit in zip(_clip(action), self._limits[name], strict=True)])
             for name, action in actions.items()
         }
 
     def effort(self, action: np.ndarray) -> float:
         """Return a robot's effort in one control period: mean square of its action, in [0, 1]."""
         total = 0.0
-        for u in action:
-            clipped = min(max(float(u), -1.0), 1.0)
-            total += clipped * clipped
+        for u in _clip(action):
+            total += u * u
         return total / len(action)
 
     def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
@@ -131,6 +130,10 @@ class FreeFlyerTask:
     def chains(self, states: np.ndarray) -> dict[str, np.ndarray]:
         """Return nothing: a free-flyer is held by nobody."""
         return {}
+
+
+def _clip(action: np.ndarray) -> list[float]:
+    return [-1.0 if u < -1.0 else 1.0 if u > 1.0 else u for u in np.asarray(action, dtype=float).tolist()]
 
 
 def _unbounded(size: int) -> Box:

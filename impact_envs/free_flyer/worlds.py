@@ -28,8 +28,8 @@ GAIN, OWED = 0, 6
 # Columns of Worlds.contact and Worlds.counter.
 RESTITUTION, RESTITUTION_SPEED, FRICTION = range(3)
 STEPS, HITS, OVERFLOW = range(3)
-# Columns of Scratch.motion: accelerations by thrusters and drift, the same with lasting contacts, changes of velocity
-# by impulses and by their compression, how far from its centre of mass a body can come [m].
+# Columns of Scratch.motion: commands, then accelerations by thrusters and drift; the same with lasting contacts,
+# changes of velocity by impulses and by their compression, how far from its centre of mass a body can come [m].
 HELD, ACCELERATION, CHANGE, COMPRESSION, ROOM = range(0, 15, 3)
 # Columns of Scratch.marks: numbers of the pairs that could touch; per pair 0 apart, 1 pressed, 2 resting unpressed.
 NEAR, REST = range(2)

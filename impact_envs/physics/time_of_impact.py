@@ -11,7 +11,7 @@ from collections.abc import Callable
 from impact_envs.compiled import compiled
 
 # A gap below this counts as touching [m].
-TOUCHING = 1e-12
+TOUCHING = 1e-14
 NEWTON_STEPS = 64
 
 

@@ -1,0 +1,137 @@
+"""What happens at one instant of impact in world k: rebound, or the start of a lasting contact.
+
+Compiled scalar functions.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from impact_envs.compiled import compiled
+from impact_envs.free_flyer.contact_rules import CONTACT_STEP, GRAZE, LOW_SPEED, REST_GAP
+from impact_envs.free_flyer.impulse import collide, read_contact, write_contact
+from impact_envs.free_flyer.touch import find_press
+from impact_envs.free_flyer.worlds import (
+    ACROSS,
+    ALONG,
+    CHANGE,
+    FELT,
+    GAP,
+    HITS,
+    MASS,
+    NEAR,
+    PARTING,
+    PARTING_GOAL,
+    RESTITUTION,
+    RESTITUTION_SPEED,
+    STEPS,
+    TIME,
+    Arena,
+    I,
+    J,
+    Scratch,
+    Worlds,
+)
+
+
+@compiled
+def hit(
+    arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: int, k: int, count: int, end: float, t: float
+) -> None:
+    """Change velocities by the impacts of one instant.
+
+    If all of them are starts of lasting contacts, everything that touches comes to rest together instead.
+
+    Args:
+        arena, worlds, scratch, log, c, k: where.
+        count: of the near pairs.
+        end: pairs that touch until then take part [s].
+        t: the instant, from the start of the control period [s].
+    """
+    n = arena.discs.shape[0]
+    contacts = scratch.contacts
+    rows = 0
+    for entry in range(count):
+        if scratch.contacts[c, entry, TIME] <= end:
+            write_contact(arena, worlds, scratch, c, k, rows, scratch.marks[c, entry, NEAR])
+            if contacts[c, rows, GAP] <= REST_GAP and rebounds(arena, worlds, scratch, c, k, rows):
+                speed, e, e_speed = (
+                    -contacts[c, rows, PARTING],
+                    worlds.contact[k, RESTITUTION],
+                    worlds.contact[k, RESTITUTION_SPEED],
+                )
+                contacts[c, rows, PARTING_GOAL] = speed * (e * math.exp(-speed / e_speed) if e_speed > 0 else e)
+                rows += 1
+    if rows == 0:
+        settle(arena, worlds, scratch, c, k, count)
+        return
+    collide(worlds, scratch, c, k, n, rows)
+    for row in range(rows):
+        report(arena, worlds, scratch, log, c, k, row, t)
+    change_velocities(worlds, scratch, c, k, n)
+
+
+@compiled
+def rebounds(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, row: int) -> bool:
+    """Return whether an impact is more than the start of a lasting contact."""
+    contacts = scratch.contacts
+    i, j, approach = int(contacts[c, row, I]), int(contacts[c, row, J]), -contacts[c, row, PARTING]
+    press = find_press(arena, worlds, scratch, c, k, i, j, contacts[c, row, GAP], approach)
+    return approach > max(LOW_SPEED, press * CONTACT_STEP / 2)
+
+
+@compiled
+def settle(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: int) -> None:
+    """Bring everything that touches to rest on each other, without restitution, and take back overlap."""
+    n = arena.discs.shape[0]
+    contacts = scratch.contacts
+    rows = 0
+    for entry in range(count):
+        write_contact(arena, worlds, scratch, c, k, rows, scratch.marks[c, entry, NEAR])
+        if contacts[c, rows, GAP] <= REST_GAP and not rebounds(arena, worlds, scratch, c, k, rows):
+            contacts[c, rows, PARTING_GOAL] = 0.0
+            rows += 1
+    collide(worlds, scratch, c, k, n, rows)
+    change_velocities(worlds, scratch, c, k, n)
+    for row in range(rows):
+        i, j, nx, ny, _, _ = read_contact(scratch, c, row)
+        gap = contacts[c, row, GAP]
+        if gap < -GRAZE:
+            share = worlds.body[k, j, MASS] / (worlds.body[k, i, MASS] + worlds.body[k, j, MASS]) if j < n else 1.0
+            worlds.state[k, i, 0] += gap * share * nx
+            worlds.state[k, i, 1] += gap * share * ny
+            if j < n:
+                worlds.state[k, j, 0] -= gap * (1 - share) * nx
+                worlds.state[k, j, 1] -= gap * (1 - share) * ny
+
+
+@compiled
+def change_velocities(worlds: Worlds, scratch: Scratch, c: int, k: int, n: int) -> None:
+    """Apply the changes of velocity that impulses made."""
+    for i in range(n):
+        worlds.state[k, i, 2] += scratch.motion[c, i, CHANGE + 0]
+        worlds.state[k, i, 3] += scratch.motion[c, i, CHANGE + 1]
+        worlds.state[k, i, 5] += scratch.motion[c, i, CHANGE + 2]
+
+
+@compiled
+def report(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: int, k: int, row: int, t: float) -> None:
+    """Write an impact to the log and to what its bodies feel."""
+    n = arena.discs.shape[0]
+    i, j, nx, ny, px, py = read_contact(scratch, c, row)
+    along, across = scratch.contacts[c, row, ALONG], scratch.contacts[c, row, ACROSS]
+    speed = -scratch.contacts[c, row, PARTING]
+    worlds.body[k, i, FELT] = max(worlds.body[k, i, FELT], speed)
+    if j < n:
+        worlds.body[k, j, FELT] = max(worlds.body[k, j, FELT], speed)
+    place = worlds.counter[k, HITS]
+    worlds.counter[k, HITS] += 1
+    if place < log.shape[1]:
+        log[k, place, 0] = worlds.counter[k, STEPS] * arena.period + t
+        log[k, place, 1], log[k, place, 2] = i, j
+        log[k, place, 3], log[k, place, 4] = px, py
+        log[k, place, 5], log[k, place, 6] = nx, ny
+        log[k, place, 7], log[k, place, 8] = along * nx - across * ny, along * ny + across * nx
+        log[k, place, 9] = speed
