@@ -19,12 +19,14 @@ from impact_envs.scenario import Scenario, list_scenarios, load_scenario
 if TYPE_CHECKING:
     from impact_envs.env import ImpactEnv, parallel_env
     from impact_envs.joint import JointEnv
+    from impact_envs.vector import ImpactVectorEnv, vector_env
 
 __all__ = [
     "Diagnostics",
     "Episode",
     "FormulaError",
     "ImpactEnv",
+    "ImpactVectorEnv",
     "InputError",
     "JointEnv",
     "Policy",
@@ -35,10 +37,17 @@ __all__ = [
     "load_scenario",
     "parallel_env",
     "rollout",
+    "vector_env",
 ]
 
 # Names loaded when first used, so that reading a scenario needs no simulator.
-_LAZY = {"ImpactEnv": "env", "JointEnv": "joint", "parallel_env": "env"}
+_LAZY = {
+    "ImpactEnv": "env",
+    "ImpactVectorEnv": "vector",
+    "JointEnv": "joint",
+    "parallel_env": "env",
+    "vector_env": "vector",
+}
 # Scenario names whose Gymnasium id is not their words capitalised.
 _TITLES = {"pingpong": "PingPong"}
 
@@ -56,5 +65,10 @@ def __getattr__(name: str) -> Any:
 
 
 for _name in list_scenarios():
-    gymnasium.register(gym_id(_name), "impact_envs.joint:JointEnv", kwargs={"scenario": _name})
+    gymnasium.register(
+        gym_id(_name),
+        "impact_envs.joint:JointEnv",
+        vector_entry_point="impact_envs.vector:ImpactVectorEnv",
+        kwargs={"scenario": _name},
+    )
     gymnasium.register(gym_id(_name, residual=True), "agents.residual:ResidualEnv", kwargs={"scenario": _name})

@@ -19,10 +19,10 @@ from impact_envs.stl import Monitor
 
 # A full-thrust step of every actuator costs this much robustness per control period.
 EFFORT_WEIGHT = 1e-4  # [m]
-# The world of each domain: module and class of its model and its task.
+# The world of each domain: module and maker of its model and its task.
 DOMAINS = {
     "free_flyer": (
-        ("impact_envs.free_flyer.model", "FreeFlyerModel"),
+        ("impact_envs.free_flyer.disc_model", "make_model"),
         ("impact_envs.free_flyer.task", "FreeFlyerTask"),
     )
 }
@@ -197,7 +197,8 @@ class ImpactEnv(ParallelEnv):
         before, self.bounds = self.bounds, self._clip(self.monitor.update(self.signals))
         self._remember()
         over = self.steps >= min(self.max_cycles, self.scenario.steps)
-        team = (sum(self.bounds) - sum(before)) / 2 + (self.bounds[0] if over else 0.0)
+        (low, high), over_low = self.bounds, self.bounds[0] if over else 0.0
+        team = (low + high - (before[0] + before[1])) / 2 + over_low
         agents = self.agents
         rewards = {agent: team / len(agents) - EFFORT_WEIGHT * self.task.effort(actions[agent]) for agent in agents}
         observations, infos = self.task.observe(self.time, self.bounds), self._infos(over)

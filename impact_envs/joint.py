@@ -48,10 +48,12 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         parts = np.split(np.asarray(action), np.cumsum(self._sizes)[:-1])
         agents = self.parallel.possible_agents
         _, rewards, terminations, truncations, infos = self.parallel.step(dict(zip(agents, parts, strict=True)))
-        first = agents[0]
+        first, total = agents[0], 0.0
+        for reward in rewards.values():  # sum() rounds differently from one Python to the next
+            total += reward
         return (
             self._observe(),
-            float(sum(rewards.values())),
+            total,
             terminations[first],
             truncations[first],
             infos[first],

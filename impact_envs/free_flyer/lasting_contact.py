@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import pymunk
 
 from impact_envs.free_flyer.body import Body
+from impact_envs.free_flyer.contact_rules import SKIN
 
-# Shapes are this much larger than they are, so that pymunk sees touching bodies as touching [m].
-SKIN = 1e-4
 # Few sweeps leave a symmetric squeeze of an object asymmetric; a test holds 50 to keep it still.
 ITERATIONS = 50
 

@@ -15,10 +15,18 @@ import numpy as np
 
 from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.body import Body, make_obstacle, make_walls
-from impact_envs.free_flyer.lasting_contact import SKIN, ContactSolver
-from impact_envs.free_flyer.pair import (
+from impact_envs.free_flyer.contact_rules import (
     CONTACT_STEP,
     GRAZE,
+    LOW_SPEED,
+    PART_SPEED,
+    REST_GAP,
+    REST_PRESS,
+    REST_SPEED,
+    SIMULTANEOUS,
+)
+from impact_envs.free_flyer.lasting_contact import ContactSolver
+from impact_envs.free_flyer.pair import (
     compute_approach,
     compute_press,
     find_contact,
@@ -29,16 +37,6 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
 from impact_envs.physics.convex import Contact
 from impact_envs.physics.impact import Impact, compute_restitution, solve_contacts
 
-# An impact is the start of a lasting contact when it is slower than this [m/s], or when the bodies are
-# pressed together so that even the full rebound would end within a contact step: without such a rule, bounces
-# crowd without end.
-LOW_SPEED = 1e-4
-# Bodies this near [m] rest on each other if they close in no faster than this [m/s], and part no faster than
-# the contact solver's skin lets it see over a contact step. Smaller accelerations are rounding [m/s^2].
-REST_GAP, REST_SPEED, PART_SPEED = 1e-5, 1e-7, SKIN / CONTACT_STEP
-REST_PRESS = 1e-9
-# Impacts this close in time are solved together, so that symmetric squeezes stay symmetric [s].
-SIMULTANEOUS = 1e-12
 EVENTS = 20_000  # in one control period; more means the rules above have failed
 
 Pair = tuple[int, int]

@@ -5,18 +5,21 @@ Experts import this module and never the task, so what they know is what a robot
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
-
-BODY_SIZE = 7  # x, y, vx, vy, cos(heading), sin(heading), omega
-TAIL_SIZE = 4  # contact, time / horizon, robustness_lower, robustness_upper
-# The published replanner averages the differences of its last 15 positions, which is this difference quotient.
-VELOCITY_WINDOW = 15
+from impact_envs.free_flyer.sensing import (
+    BODY_SIZE,
+    STATE_SIZE,
+    TAIL_SIZE,
+    Sensing,
+    compute_memory_size,
+    take_sample,
+)
+from impact_envs.free_flyer.sensing import VELOCITY_WINDOW as VELOCITY_WINDOW
 
 
 @dataclass(frozen=True)
@@ -36,21 +39,25 @@ class Measurement:
 
 
 class Sensors:
-    """Noise, velocity by filtered difference and delay between the true states and an observation."""
+    """Noise, velocity by filtered difference and delay between true states and observation: ``sensing``, one world."""
 
     def __init__(self, scenario: FreeFlyerScenario) -> None:
-        self._period = scenario.control_period
+        self._period = float(scenario.control_period)
+        self._bodies, self._robots = len(scenario.bodies), len(scenario.robots)
 
     def reset(self, physics: Physics, rng: np.random.Generator) -> None:
         """Forget the last episode.
 
         Args:
             physics: position noise, whether velocity is measured, delay.
-            rng: the episode's generator.
+            rng: the episode's generator; with noise, every sample takes two doubles per body from it.
         """
-        self._physics, self._rng = physics, rng
-        self._positions: deque[np.ndarray] = deque(maxlen=VELOCITY_WINDOW + 1)
-        self._delayed: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=physics.delay_steps + 1)
+        noise, delay = float(physics.position_noise), int(physics.delay_steps)
+        self._sensing = Sensing(self._period, noise, bool(physics.velocity_measured), delay)
+        self._rng, self._samples = rng, 0
+        self._uniforms = np.zeros((1, 2 * self._bodies if noise > 0 else 0))
+        self._memory = np.zeros((1, compute_memory_size(self._sensing, self._bodies, self._robots)))
+        self._ideal = self._memory.size + self._uniforms.size == 0
 
     def measure(self, states: np.ndarray, contacts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Take one sample; call once per control step.
@@ -62,29 +69,15 @@ class Sensors:
         Returns:
             Measured states and contacts of the same shapes, as old as the delay (the first ones until then).
         """
-        measured = states.copy()
-        noise = self._physics.position_noise
-        if noise > 0:
-            measured[:, :2] += self._rng.normal(0.0, noise, (len(states), 2))
-        if not self._physics.velocity_measured:
-            measured[:, 2:4] = self._difference(measured[:, :2])
-        self._delayed.append((measured, contacts.copy()))
-        return self._delayed[0]
-
-    def _difference(self, positions: np.ndarray) -> np.ndarray:
-        self._positions.append(positions.copy())
-        span = (len(self._positions) - 1) * self._period
-        return (positions - self._positions[0]) / span if span > 0 else np.zeros_like(positions)
-
-
-def body_block(state: np.ndarray) -> np.ndarray:
-    """Return the seven observed numbers of a body.
-
-    Args:
-        state: [x, y, vx, vy, heading, omega], shape (6,).
-    """
-    x, y, vx, vy, heading, omega = state
-    return np.array([x, y, vx, vy, np.cos(heading), np.sin(heading), omega])
+        if self._ideal:
+            return states.copy(), contacts.copy()
+        if self._sensing.noise > 0:
+            self._rng.random(out=self._uniforms)
+        measured, felt = np.empty((1, self._bodies, STATE_SIZE)), np.empty((1, self._robots))
+        world = (states[None], contacts[None], self._uniforms, self._memory, measured, felt)
+        take_sample(self._sensing, 0, self._samples, *world)
+        self._samples += 1
+        return measured[0], felt[0]
 
 
 def observed_order(scenario: FreeFlyerScenario, agent: str) -> tuple[str, ...]:

@@ -5,14 +5,9 @@ from __future__ import annotations
 import math
 
 from impact_envs.free_flyer.body import Body
+from impact_envs.free_flyer.contact_rules import CONTACT_STEP, GRAZE, SINK, STRIDE
 from impact_envs.physics.convex import Contact, compute_contact
 from impact_envs.physics.time_of_impact import find_crossing, find_disc_impact, find_face_impact
-
-# Lasting contacts hold their forces for this long [s].
-CONTACT_STEP = 0.01
-# Polygons may graze each other unseen over this much motion, and touch when they overlap by this much; all
-# bodies may sink this much into what they rest on [m].
-STRIDE, GRAZE, SINK = 1e-3, 1e-10, 1e-6
 
 
 def find_contact(a: Body, b: Body) -> Contact:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -23,10 +23,12 @@ from impact_envs.scenario import (
     Uniform,
     Vector,
     check_convex,
-    draw,
 )
 
+Engine = Literal["exact", "pymunk"]
 Restitution = Annotated[float, Field(ge=0, le=1)]
+# What directions and the choice of one of several things are drawn from.
+ANGLE, SHARE = Uniform(uniform=(0.0, 2 * math.pi)), Uniform(uniform=(0.0, 1.0))
 
 
 class Obstacle(Region):
@@ -147,12 +149,33 @@ class Physics:
     delay_steps: int = 0
 
 
+class DrawnPhysics(NamedTuple):
+    """The drawn numbers of N true worlds of one scenario, n bodies, of which the first are the r robots.
+
+    Attributes:
+        restitution, restitution_speed, friction: as in ``Physics``, shape (N,).
+        masses, inertias: shape (N, n) [kg], [kg m^2].
+        center_of_mass, drift: zero for robots, shape (N, n, 2) [m], [m/s^2].
+        thruster_gain: shape (N, r, 3, 2).
+    """
+
+    restitution: np.ndarray
+    restitution_speed: np.ndarray
+    friction: np.ndarray
+    masses: np.ndarray
+    inertias: np.ndarray
+    center_of_mass: np.ndarray
+    drift: np.ndarray
+    thruster_gain: np.ndarray
+
+
 class FreeFlyerScenario(Scenario):
     """Free-flyers that move passive objects by impacts in a planar, weightless world box."""
 
     suite_file: ClassVar[Path | None] = Path(__file__).parent / "suites.toml"
 
     domain: Literal["free_flyer"]
+    engine: Engine | None = None  # what computes the motion; unset: exact for discs, pymunk for polygons
     world: Box
     robots: dict[str, Robot]
     objects: dict[str, Object]
@@ -184,6 +207,11 @@ class FreeFlyerScenario(Scenario):
         """Return the scenario as the expert sees it: the true world is the believed one, undisturbed."""
         return self.model_copy(update={"true": Truth()})
 
+    @property
+    def draw_count(self) -> int:
+        """Return how many uniform numbers the draw of one true world takes."""
+        return sum(isinstance(quantity, Uniform) for quantity in self._quantities())
+
     def draw(self, rng: np.random.Generator) -> Physics:
         """Draw one true world.
 
@@ -193,33 +221,78 @@ class FreeFlyerScenario(Scenario):
         Returns:
             The numbers of one episode.
         """
-        true, believed = self.true, self.believed
-        restitution = believed.restitution if true.restitution is None else draw(true.restitution, rng)
-        friction = believed.friction if true.friction is None else draw(true.friction, rng)
-        scale = {name: draw(true.robot_mass_scale, rng) for name in self.robots}
-        scale |= {name: draw(true.object_mass_scale, rng) for name in self.objects}
-        zero = {name: np.zeros(2) for name in self.robots}
+        drawn = DrawnPhysics(*(rows[0] for rows in self.draw_many(rng.random((1, self.draw_count)))))
+        place = {name: i for i, name in enumerate(self.bodies)}
         return Physics(
-            restitution=restitution,
-            restitution_speed=draw(true.restitution_speed, rng),
-            friction=friction,
-            masses={name: self.body(name).mass * scale[name] for name in self.bodies},
-            inertias={name: self.body(name).inertia * scale[name] for name in self.bodies},
-            center_of_mass=zero | {name: _vector(true.center_of_mass_offset, rng) for name in self.objects},
-            drift={name: _vector(true.drift, rng) for name in self.objects},
-            thruster_gain=self._draw_thrusters(rng),
-            thruster_on_off=true.thruster_on_off,
-            position_noise=true.position_noise,
-            velocity_measured=true.velocity_measured,
-            delay_steps=true.delay_steps,
+            restitution=float(drawn.restitution),
+            restitution_speed=float(drawn.restitution_speed),
+            friction=float(drawn.friction),
+            masses={name: float(drawn.masses[i]) for name, i in place.items()},
+            inertias={name: float(drawn.inertias[i]) for name, i in place.items()},
+            center_of_mass={name: drawn.center_of_mass[i] for name, i in place.items()},
+            drift={name: drawn.drift[place[name]] for name in self.objects},
+            thruster_gain={name: drawn.thruster_gain[place[name]] for name in self.robots},
+            thruster_on_off=self.true.thruster_on_off,
+            position_noise=self.true.position_noise,
+            velocity_measured=self.true.velocity_measured,
+            delay_steps=self.true.delay_steps,
         )
 
-    def _draw_thrusters(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
-        gains = {name: np.full((3, 2), draw(self.true.thruster_gain, rng)) for name in self.robots}
-        weakest = draw(self.true.weak_thruster, rng)
-        robot = self.agents[int(rng.integers(len(self.agents)))]
-        gains[robot][int(rng.integers(2)), int(rng.integers(2))] *= weakest
-        return gains
+    def draw_many(self, uniforms: np.ndarray) -> DrawnPhysics:
+        """Turn uniform numbers into true worlds, one per row; a world does not depend on the others.
+
+        Args:
+            uniforms: in [0, 1), shape (N, draw_count).
+
+        Returns:
+            The numbers of N episodes.
+        """
+        robots, objects = len(self.robots), len(self.objects)
+        sizes = (1, 1, robots + objects, 1, 2 * objects, 2 * objects, robots, 1)
+        values = np.split(_draw_columns(self._quantities(), uniforms), np.cumsum(sizes), axis=1)
+        restitution, friction, scale, speed, offset, drift, gain, weakest, which = values
+        gains = np.empty((len(uniforms), robots, 3, 2))
+        gains[:] = gain[:, :, None, None]
+        robot, channel, sign = (which * (robots, 2, 2)).astype(int).T
+        gains[np.arange(len(uniforms)), robot, channel, sign] *= weakest[:, 0]
+        return DrawnPhysics(
+            restitution=restitution[:, 0],
+            restitution_speed=speed[:, 0],
+            friction=friction[:, 0],
+            masses=scale * [self.body(name).mass for name in self.bodies],
+            inertias=scale * [self.body(name).inertia for name in self.bodies],
+            center_of_mass=_make_vectors(offset, robots),
+            drift=_make_vectors(drift, robots),
+            thruster_gain=gains,
+        )
+
+    def _quantities(self) -> tuple[Quantity, ...]:
+        """Return what a true world is made of, in the order of drawing."""
+        true, robots, objects = self.true, len(self.robots), len(self.objects)
+        return (
+            self.believed.restitution if true.restitution is None else true.restitution,
+            self.believed.friction if true.friction is None else true.friction,
+            *(true.robot_mass_scale,) * robots,
+            *(true.object_mass_scale,) * objects,
+            true.restitution_speed,
+            *(true.center_of_mass_offset, ANGLE) * objects,
+            *(true.drift, ANGLE) * objects,
+            *(true.thruster_gain,) * robots,
+            true.weak_thruster,
+            *(SHARE, SHARE, SHARE),  # which robot, force along x or y, positive or negative
+        )
+
+    @property
+    def has_polygons(self) -> bool:
+        """Return whether any object is no disc."""
+        return any(body.vertices is not None for body in self.objects.values())
+
+    @model_validator(mode="after")
+    def _engine_fits(self) -> Self:
+        if self.engine == "exact" and self.has_polygons:
+            name = next(name for name, body in self.objects.items() if body.vertices is not None)
+            raise ValueError(f'engine = "exact" takes discs, and objects.{name} is a polygon; choose "pymunk"')
+        return self
 
     @model_validator(mode="after")
     def _placed(self) -> Self:
@@ -259,7 +332,23 @@ class FreeFlyerScenario(Scenario):
                     raise ValueError(f"{table}.{name}.{key} = {list(place)} touches the solid obstacle '{area}'")
 
 
-def _vector(size: Quantity, rng: np.random.Generator) -> np.ndarray:
-    """Draw a vector of a given size in a uniform direction, shape (2,)."""
-    length, angle = draw(size, rng), rng.uniform(0, 2 * math.pi)
-    return length * np.array([math.cos(angle), math.sin(angle)])
+def _draw_columns(quantities: tuple[Quantity, ...], uniforms: np.ndarray) -> np.ndarray:
+    """Return the numbers of each world, low + (high - low) u where they are drawn, shape (N, quantities)."""
+    drawn = [isinstance(quantity, Uniform) for quantity in quantities]
+    low = np.array([smallest(quantity) for quantity in quantities])
+    high = np.array([quantity.uniform[1] if isinstance(quantity, Uniform) else quantity for quantity in quantities])
+    shares = np.zeros((len(uniforms), len(quantities)))
+    shares[:, drawn] = uniforms
+    return low + (high - low) * shares
+
+
+def _make_vectors(polar: np.ndarray, robots: int) -> np.ndarray:
+    """Return the vectors of all bodies, zero for robots, of the objects' lengths and angles, shape (N, n, 2)."""
+    from impact_envs.stream import write_directions  # reading a scenario does not wait for the compiler
+
+    worlds, objects = len(polar), polar.shape[1] // 2
+    directions = np.empty((worlds * objects, 2))
+    write_directions(polar[:, 1::2].ravel(), directions)
+    vectors = np.zeros((worlds, robots + objects, 2))
+    vectors[:, robots:] = polar[:, 0::2, None] * directions.reshape(worlds, objects, 2)
+    return vectors

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from gymnasium.spaces import Box
 
-from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, Sensors, body_block, observed_order
+from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, Sensors
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
+from impact_envs.free_flyer.sensing import FELT_SPEED, write_agent_observation, write_joint_observation
 from impact_envs.physics.impact import Impact
 from impact_envs.shape import Shape
 
 SIGNALS = ("x", "y", "vx", "vy", "heading", "omega")
-# Slowest impact the inertial unit feels; below it lies resting contact.
-FELT_SPEED = 1e-3  # [m/s]
 
 
 class FreeFlyerTask:
@@ -31,10 +31,11 @@ class FreeFlyerTask:
     def __init__(self, scenario: FreeFlyerScenario) -> None:
         self.scenario = scenario
         self._limits = {
-            name: np.array([robot.force_limit, robot.force_limit, robot.torque_limit])
-            for name, robot in scenario.robots.items()
+            name: (robot.force_limit, robot.force_limit, robot.torque_limit) for name, robot in scenario.robots.items()
         }
         self._sensors = Sensors(scenario)
+        self._names = scenario.agents
+        self._signals = [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS]
         self._contacts = np.zeros(len(scenario.robots))
         size = BODY_SIZE * len(scenario.bodies)
         n = len(scenario.robots)
@@ -56,18 +57,23 @@ class FreeFlyerTask:
 
     def controls(self, actions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Scale actions to body-frame force and torque [N, N, N m], shape (3,) each."""
+        # Plain numbers: arrays of three cost more than the whole step.
         return {
-            name: np.clip(np.asarray(action, dtype=float), -1.0, 1.0) * self._limits[name]
+            name: np.array([min(max(float(u), -1.0), 1.0) * w for u, w in zip(action, self._limits[name], strict=True)])
             for name, action in actions.items()
         }
 
     def effort(self, action: np.ndarray) -> float:
         """Return a robot's effort in one control period: mean square of its action, in [0, 1]."""
-        return float(np.mean(np.square(np.clip(action, -1.0, 1.0), dtype=float)))
+        total = 0.0
+        for u in action:
+            clipped = min(max(float(u), -1.0), 1.0)
+            total += clipped * clipped
+        return total / len(action)
 
     def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
         """Return the propulsion spent in one control period: sum of |F| dt over robots [N s]."""
-        return sum(float(np.hypot(u[0], u[1])) for u in controls.values()) * self.scenario.control_period
+        return sum(math.hypot(u[0], u[1]) for u in controls.values()) * self.scenario.control_period
 
     def sense(self, states: np.ndarray, impacts: Sequence[Impact]) -> None:
         """Take the sensors' sample of this control step.
@@ -77,7 +83,7 @@ class FreeFlyerTask:
             impacts: impacts of the last control period.
         """
         felt = {name for impact in impacts if impact.speed > FELT_SPEED for name in (impact.a, impact.b)}
-        contacts = np.array([float(name in felt) for name in self.scenario.agents])
+        contacts = np.array([float(name in felt) for name in self._names])
         self._measured, self._contacts = self._sensors.measure(states, contacts)
 
     def observe(self, time: float, bounds: tuple[float, float]) -> dict[str, np.ndarray]:
@@ -87,29 +93,22 @@ class FreeFlyerTask:
             time: [s].
             bounds: interval of robustness still possible, finite [m].
         """
-        blocks = {name: body_block(s) for name, s in zip(self.scenario.bodies, self._measured, strict=True)}
-        fraction = time / self.scenario.horizon
-        return {
-            agent: np.concatenate(
-                [blocks[name] for name in observed_order(self.scenario, agent)]
-                + [np.array([contact, fraction, *bounds])]
-            )
-            for agent, contact in zip(self.scenario.agents, self._contacts, strict=True)
-        }
+        joint = self.observe_jointly(time, bounds)[None]
+        agents = np.empty((1, len(self.scenario.robots), BODY_SIZE * len(self.scenario.bodies) + TAIL_SIZE))
+        for i in range(len(self.scenario.robots)):
+            write_agent_observation(0, i, joint, agents)
+        return {agent: row.copy() for agent, row in zip(self._names, agents[0], strict=True)}
 
     def observe_jointly(self, time: float, bounds: tuple[float, float]) -> np.ndarray:
         """Return everything measured once: bodies in scenario order, contacts, time / horizon, robustness interval."""
-        blocks = [body_block(state) for state in self._measured]
-        return np.concatenate([*blocks, self._contacts, [time / self.scenario.horizon, *bounds]])
+        joint = np.empty((1, self.joint_observation_space.shape[0]))
+        measured, felt = self._measured[None], self._contacts[None]
+        write_joint_observation(0, measured, felt, time / self.scenario.horizon, *bounds, joint)
+        return joint[0]
 
     def signals(self, states: np.ndarray) -> dict[str, float]:
         """Return the named signals a formula speaks of, for example ``pop.x``."""
-        rows = states.tolist()
-        return {
-            f"{body}.{name}": value
-            for body, row in zip(self.scenario.bodies, rows, strict=True)
-            for name, value in zip(SIGNALS, row, strict=True)
-        }
+        return dict(zip(self._signals, states.ravel().tolist(), strict=True))
 
     def signal_bounds(self) -> dict[str, tuple[float, float]]:
         """Return what is known of signals beforehand: solid walls keep every body in the world box."""

@@ -15,7 +15,7 @@ import numpy as np
 
 Point = tuple[float, float]
 # Gauss-Seidel on simultaneous contacts: last change, relative to the largest impulse, and the most sweeps.
-CHANGE, SWEEPS = 1e-14, 1000
+SMALL_CHANGE, SWEEPS = 1e-14, 1000
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ def _gauss_seidel(W: np.ndarray, speed: np.ndarray, goal: np.ndarray, friction: 
                 p[i] = new
                 u = [speed + w * step for speed, w in zip(u, row, strict=True)]
                 change = max(change, abs(step))
-        if n == 1 or change <= CHANGE * max(map(abs, p)):
+        if n == 1 or change <= SMALL_CHANGE * max(map(abs, p)):
             break
     return np.array(p)
 

@@ -1,7 +1,6 @@
 """When discs and polygons first touch.
 
-The functions on numbers are exact and in the subset of Python that numba compiles; ``find_crossing`` serves
-shapes whose gap has no closed form.
+The functions on numbers are exact and compiled; ``find_crossing`` serves shapes whose gap has no closed form.
 """
 
 from __future__ import annotations
@@ -9,11 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from impact_envs.compiled import compiled
+
 # A gap below this counts as touching [m].
 TOUCHING = 1e-12
 NEWTON_STEPS = 64
 
 
+@compiled
 def find_first_root(c0: float, c1: float, c2: float, c3: float, c4: float, end: float) -> float:
     """Return when a quartic first falls through zero.
 
@@ -52,6 +54,7 @@ def find_first_root(c0: float, c1: float, c2: float, c3: float, c4: float, end: 
     return t  # not converged, but nothing was passed: looking again from here is right
 
 
+@compiled
 def find_disc_impact(
     x: float,
     y: float,
@@ -89,6 +92,7 @@ def find_disc_impact(
     )
 
 
+@compiled
 def find_face_impact(
     x: float,
     y: float,
@@ -133,6 +137,7 @@ def find_face_impact(
     return hit
 
 
+@compiled
 def find_fall(height: float, speed: float, acceleration: float) -> float:
     """Return when a height in uniformly accelerated motion falls through zero, which it does at most once.
 

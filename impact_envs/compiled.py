@@ -1,0 +1,85 @@
+"""One source for numba, CUDA and plain Python: how the scalar functions that run every control step are compiled.
+
+Such a function takes numbers, arrays and NamedTuples of them, allocates nothing and raises nothing.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from types import FunctionType
+from typing import Any, TypeVar
+
+import numba
+from numba.core.dispatcher import Dispatcher
+
+ROOT = Path(__file__).parents[1]
+# Nothing is allocated, so arrays need no reference counts; counting them costs as much as all the rest.
+OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False, "nogil": True}
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """Compile a scalar function for the CPU at its first call, and keep the code on disk.
+
+    Floating-point operations are neither reordered nor fused, so that one world and many get the same bits.
+    """
+    return refresh(numba.njit(**OPTIONS)(function))
+
+
+def inlined(function: Function) -> Function:
+    """Compile a scalar function into each of its callers: passing two dozen arrays costs more than a short function."""
+    return refresh(numba.njit(**OPTIONS, forceinline=True)(function))
+
+
+def refresh(dispatcher: Any) -> Any:
+    """Compile anew what is on disk when a file that the function's file imports has changed.
+
+    numba looks at the function's own file only, although what it calls from other files is compiled into it.
+    """
+    if hasattr(dispatcher, "py_func"):  # not with NUMBA_DISABLE_JIT
+        dispatcher._cache._cache_file._source_stamp = _read_sources(Path(dispatcher.py_func.__code__.co_filename))
+    return dispatcher
+
+
+@cache
+def _read_sources(file: Path) -> bytes:
+    """Return the digest of a file of the package and of all files of the package that it imports."""
+    seen, todo = dict[Path, str](), [file]
+    while todo:
+        path = todo.pop()
+        if path not in seen and path.is_file():
+            seen[path] = text = path.read_text(encoding="utf-8")
+            modules = re.findall(r"^from (\w+(?:\.\w+)+) import", text, re.MULTILINE)
+            todo += [ROOT.joinpath(*module.split(".")).with_suffix(".py") for module in modules]
+    return sha256("".join(seen[path] for path in sorted(seen)).encode()).digest()
+
+
+def retarget(function: Any, decorate: Callable[[FunctionType], Any]) -> Any:
+    """Compile a function and all compiled functions it calls for another target, from the same source.
+
+    Args:
+        function: made by ``compiled``.
+        decorate: what to do with each plain Python function: ``lambda f: cuda.jit(f, device=True)`` for a GPU, the
+            identity to run uncompiled.
+
+    Returns:
+        What ``decorate`` makes of the outermost function.
+    """
+    done: dict[Dispatcher, Any] = {}
+
+    def visit(dispatcher: Dispatcher) -> Any:
+        if dispatcher not in done:
+            plain = dispatcher.py_func
+            space = dict(plain.__globals__)
+            for name in plain.__code__.co_names:
+                if isinstance(space.get(name), Dispatcher):
+                    space[name] = visit(space[name])
+            copy = FunctionType(plain.__code__, space, plain.__name__, plain.__defaults__, plain.__closure__)
+            done[dispatcher] = decorate(copy)
+        return done[dispatcher]
+
+    return visit(function)

@@ -1,0 +1,261 @@
+"""Many worlds of one scenario, stepped together: what a vector environment is made of."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from impact_envs.errors import InputError
+from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.sensing import Sensing, compute_memory_size
+from impact_envs.free_flyer.step import (
+    LEAVE,
+    START,
+    STEP,
+    Memory,
+    Output,
+    Rules,
+    find_not_finite,
+    run_range,
+)
+from impact_envs.free_flyer.task import SIGNALS, FreeFlyerTask
+from impact_envs.free_flyer.worlds import (
+    DRIFT_X,
+    HITS,
+    INERTIA,
+    MASS,
+    OFFSET_X,
+    OVERFLOW,
+    OWED,
+    ROW,
+    STEPS,
+    Worlds,
+    make_arena,
+    make_scratch,
+    make_worlds,
+)
+from impact_envs.scenario import Quantity, Uniform
+from impact_envs.stl.program import make_program, memory_size
+from impact_envs.stream import draw_doubles, seed_streams
+
+
+class Batch:
+    """N worlds of a scenario of discs; world k is ImpactEnv with seed k's stream, bit for bit in float64.
+
+    Args:
+        scenario: whose engine is the exact one.
+        count: N.
+        effort: robustness that full thrust costs (``env.EFFORT_WEIGHT``) [m].
+        max_cycles: truncate earlier than the horizon [control periods].
+        dtype: of what is stored and returned; arithmetic is float64.
+        threads: that share the worlds.
+
+    Raises:
+        InputError: polygons, too many worlds for the memory, or a count below 1.
+    """
+
+    def __init__(
+        self,
+        scenario: FreeFlyerScenario,
+        count: int,
+        effort: float,
+        max_cycles: int | None = None,
+        dtype: type = np.float64,
+        threads: int = 1,
+    ) -> None:
+        self.scenario, self.count, self.dtype = scenario, count, dtype
+        task = FreeFlyerTask(scenario)
+        arena, _ = make_arena(scenario)
+        true = scenario.true
+        shifts = any(not _is(quantity, 0.0) for quantity in (true.center_of_mass_offset, true.drift))
+        gains = any(not _is(quantity, 1.0) for quantity in (true.thruster_gain, true.weak_thruster))
+        self._program = make_program(
+            scenario.specification,
+            scenario.control_period,
+            scenario.areas,
+            scenario.bodies,
+            [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS],
+            task.signal_bounds(),
+        )
+        self._sensing = Sensing(
+            float(scenario.control_period), float(true.position_noise), true.velocity_measured, true.delay_steps
+        )
+        steps = scenario.steps if max_cycles is None else min(max_cycles, scenario.steps)
+        starts = [(*body.start, 0.0, 0.0, body.heading, 0.0) for body in map(scenario.body, scenario.bodies)]
+        self._rules = Rules(float(scenario.horizon), steps, scenario.world.diagonal, effort, np.array([starts]))
+        self.robots, self.bodies = len(scenario.robots), len(scenario.bodies)
+        self.joint_size = BODY_SIZE * self.bodies + self.robots + TAIL_SIZE - 1
+        self.agent_size = BODY_SIZE * self.bodies + TAIL_SIZE
+        self._arena, self._scratch = arena, make_scratch(arena, min(threads, count))
+        check_size(count, sum(array.nbytes for arrays in self._make_worlds(1, shifts, gains) for array in arrays))
+        self._worlds, self._memory = self._make_worlds(count, shifts, gains)
+        self._log = np.zeros((count, 0, ROW))
+        self._threads = len(self._scratch.motion)
+        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
+        self._todo = np.zeros(count, np.int64)
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Return the control periods since each world's reset, shape (N,)."""
+        return self._worlds.counter[:, STEPS]
+
+    @property
+    def impacts(self) -> np.ndarray:
+        """Return the number of impacts in each world's last control period, shape (N,)."""
+        return self._worlds.counter[:, HITS]
+
+    @property
+    def overflow(self) -> np.ndarray:
+        """Return how many control periods since reset had more events than are followed, shape (N,)."""
+        return self._worlds.counter[:, OVERFLOW]
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Return the interval of robustness still possible, shape (N, 2) [m]."""
+        return self._memory.bounds
+
+    @property
+    def states(self) -> np.ndarray:
+        """Return the true states, shape (N, bodies, 6); as ``DiscModel.state``."""
+        return self._memory.states
+
+    @property
+    def over(self) -> np.ndarray:
+        """Return which episodes are at their end, shape (N,)."""
+        return self.steps >= self._rules.last
+
+    def seed(self, worlds: np.ndarray, seeds: Sequence[int] | np.ndarray) -> None:
+        """Start the random streams of some worlds.
+
+        Args:
+            worlds: their numbers, shape (m,).
+            seeds: shape (m,).
+
+        Raises:
+            InputError: a seed that is none.
+        """
+        self._memory.streams[worlds] = seed_streams(seeds)
+
+    def start(self, worlds: np.ndarray, output: Output) -> None:
+        """Draw new physics and start an episode in some worlds; the others are left alone.
+
+        Args:
+            worlds: mask, shape (N,).
+            output: takes their first observations.
+        """
+        self._draw(np.flatnonzero(worlds))
+        self._run(np.zeros((self.count, self.robots, 3)), np.where(worlds, START, LEAVE), output)
+
+    def step(self, actions: np.ndarray, output: Output, restart: np.ndarray | None = None) -> None:
+        """Advance the worlds by one control period.
+
+        Args:
+            actions: in [-1, 1], shape (N, robots, 3).
+            output: takes observations and rewards.
+            restart: worlds that start an episode instead; their actions are not looked at, shape (N,).
+
+        Raises:
+            InputError: actions of another shape, or one that is no finite number; nothing was stepped.
+        """
+        actions = np.ascontiguousarray(actions, dtype=np.float64)
+        if actions.shape != (self.count, self.robots, 3):
+            raise InputError(f"actions have shape {actions.shape}; ({self.count}, {self.robots}, 3) is needed")
+        todo = self._todo
+        if restart is None or not restart.any():
+            todo[:] = STEP
+        else:
+            todo[:] = np.where(restart, START, STEP)
+            actions = np.where(restart[:, None, None], 0, actions)
+        wrong = find_not_finite(actions.reshape(-1))
+        if wrong >= 0:
+            world, robot = divmod(wrong // 3, self.robots)
+            name = self.scenario.agents[robot]
+            raise InputError(
+                f"action of {name} in world {world} = {actions[world, robot].tolist()}: finite numbers only"
+            )
+        if restart is not None:
+            self._draw(np.flatnonzero(restart))
+        self._run(actions, todo, output)
+
+    def make_output(self, agents: bool) -> Output:
+        """Return fresh arrays for a step to fill.
+
+        Args:
+            agents: make room for each robot's own observation.
+        """
+        n, r = self.count, self.robots
+        return Output(
+            joint=np.empty((n, self.joint_size), self.dtype),
+            agents=np.empty((n, r if agents else 0, self.agent_size), self.dtype),
+            rewards=np.empty((n, r), self.dtype),
+        )
+
+    def _run(self, actions: np.ndarray, todo: np.ndarray, output: Output) -> None:
+        arrays = (self._arena, self._worlds, self._scratch, self._log, self._program, self._sensing, self._rules)
+
+        def run(thread: int) -> None:
+            first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
+            run_range(*arrays, self._memory, output, actions, todo, thread, first, end)
+
+        if self._pool is None:
+            run(0)
+        else:  # threads rather than numba.prange, which compiles everything once more
+            list(self._pool.map(run, range(self._threads)))
+
+    def _draw(self, worlds: np.ndarray) -> None:
+        if len(worlds) == 0:
+            return
+        drawn = self.scenario.draw_many(draw_doubles(self._memory.streams, worlds, self.scenario.draw_count))
+        body = self._worlds.body
+        body[worlds, :, MASS], body[worlds, :, INERTIA] = drawn.masses, drawn.inertias
+        if body.shape[2] > OFFSET_X:
+            body[worlds, :, OFFSET_X:DRIFT_X], body[worlds, :, DRIFT_X:] = drawn.center_of_mass, drawn.drift
+        if self._worlds.thruster.shape[1]:
+            self._worlds.thruster[worlds, :, :OWED] = drawn.thruster_gain.reshape(len(worlds), self.robots, 6)
+        contact = (drawn.restitution, drawn.restitution_speed, drawn.friction)
+        self._worlds.contact[worlds] = np.stack(contact, axis=1)
+
+    def _make_worlds(self, count: int, shifts: bool, gains: bool) -> tuple[Worlds, Memory]:
+        n, r, sensing, dtype = self.bodies, self.robots, self._sensing, self.dtype
+        states: np.ndarray = np.zeros((count, n, 6), dtype)
+        contacts: np.ndarray = np.zeros((count, r), dtype)
+        kept = compute_memory_size(sensing, n, r)
+        ideal = kept == 0 and sensing.noise == 0
+        memory = Memory(
+            states=states,
+            signals=states.reshape(count, 6 * n),
+            contacts=contacts,
+            streams=np.zeros((count, 4), np.uint64),
+            uniforms=np.zeros((count, 2 * n if sensing.noise > 0 else 0)),
+            samples=np.zeros((count, kept), dtype),
+            measured=states if ideal else np.zeros_like(states),
+            felt=contacts if ideal else np.zeros_like(contacts),
+            monitor=np.zeros((count, memory_size(self._program)), dtype),
+            bounds=np.zeros((count, 2), dtype),
+            controls=np.zeros((count, r, 3)),
+        )
+        return make_worlds(self._arena, count, shifts, gains, dtype), memory
+
+
+def check_size(count: int, size: int) -> None:
+    """Raise unless so many worlds of a size in bytes exist and fit into half of the machine's memory.
+
+    Raises:
+        InputError: naming the count and how many fit.
+    """
+    if count < 1:
+        raise InputError(f"num_envs = {count}: at least 1 world is needed")
+    fits = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (2 * size)
+    if count > fits:
+        raise InputError(
+            f"num_envs = {count}: {size} bytes per world; half of this machine's memory holds {fits} worlds"
+        )
+
+
+def _is(quantity: Quantity, value: float) -> bool:
+    """Return whether a quantity is this number in all worlds."""
+    return not isinstance(quantity, Uniform) and quantity == value

@@ -1,0 +1,135 @@
+"""The exact engine as a model: one world of discs, and the choice between it and pymunk."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from impact_envs.errors import InputError, choices
+from impact_envs.free_flyer.engine import EVENTS, step_alone
+from impact_envs.free_flyer.model import FreeFlyerModel
+from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
+from impact_envs.free_flyer.worlds import (
+    DRIFT_X,
+    HITS,
+    INERTIA,
+    LIMIT,
+    MASS,
+    OFFSET_X,
+    OVERFLOW,
+    OWED,
+    ROW,
+    STEPS,
+    make_arena,
+    make_scratch,
+    make_worlds,
+    read_states,
+    write_states,
+)
+from impact_envs.physics.impact import Impact
+
+
+def make_model(scenario: FreeFlyerScenario) -> FreeFlyerModel | DiscModel:
+    """Make the model of a scenario: the engine it names, or the exact one wherever it can serve."""
+    exact = scenario.engine == "exact" or (scenario.engine is None and not scenario.has_polygons)
+    return DiscModel(scenario) if exact else FreeFlyerModel(scenario)
+
+
+class DiscModel:
+    """Physics of free-flyers and objects that are discs, as ``FreeFlyerModel`` describes them, compiled.
+
+    Args:
+        scenario: who is where.
+
+    Raises:
+        InputError: an object is no disc.
+    """
+
+    def __init__(self, scenario: FreeFlyerScenario) -> None:
+        self.scenario = scenario
+        self._arena, self._names = make_arena(scenario)
+        self._scratch = make_scratch(self._arena, 1)
+        self._log = np.zeros((1, EVENTS, ROW))
+        self._controls = np.zeros((1, len(scenario.robots), 3))
+        self._limits = self._arena.discs[: len(scenario.robots), LIMIT:].tolist()
+        self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
+
+    def reset(self, physics: Physics) -> None:
+        """Put all bodies at rest at their start, in a world with these physics.
+
+        Args:
+            physics: the drawn numbers of one episode.
+        """
+        self.physics = physics
+        names = self.scenario.bodies
+        self._arena = self._arena._replace(on_off=physics.thruster_on_off)
+        worlds = self._worlds = make_worlds(self._arena, 1, shifts=True, gains=True)
+        worlds.body[0, :, MASS] = [physics.masses[name] for name in names]
+        worlds.body[0, :, INERTIA] = [physics.inertias[name] for name in names]
+        worlds.body[0, :, OFFSET_X:DRIFT_X] = [physics.center_of_mass.get(name, (0.0, 0.0)) for name in names]
+        worlds.body[0, :, DRIFT_X:] = [physics.drift.get(name, (0.0, 0.0)) for name in names]
+        worlds.thruster[0, :, :OWED] = [physics.thruster_gain[name].ravel() for name in self.scenario.robots]
+        worlds.contact[0] = physics.restitution, physics.restitution_speed, physics.friction
+        self._states = np.empty_like(worlds.state)
+        tables = [self.scenario.body(name) for name in names]
+        self.set_state(np.array([(*table.start, 0.0, 0.0, table.heading, 0.0) for table in tables]))
+
+    @property
+    def time(self) -> float:
+        """Return the time since reset [s]."""
+        return int(self._worlds.counter[0, STEPS]) * self.scenario.control_period
+
+    @property
+    def overflow(self) -> int:
+        """Return how many control periods since reset had more events than are followed; 0 unless rules failed."""
+        return int(self._worlds.counter[0, OVERFLOW])
+
+    def state(self) -> np.ndarray:
+        """Return the state of all bodies (see ``FreeFlyerModel.state``), shape (bodies, 6)."""
+        return self._states[0].copy()
+
+    def set_state(self, states: np.ndarray) -> None:
+        """Move all bodies to a state; time and what on/off thrusters owe go on.
+
+        Args:
+            states: as ``state`` returns them, shape (bodies, 6).
+        """
+        write_states(self._worlds, 0, np.array(states, dtype=float)[None], 0)
+        read_states(self._worlds, 0, self._states)
+
+    def step(self, controls: Mapping[str, np.ndarray]) -> list[Impact]:
+        """Advance one control period under held controls.
+
+        Args:
+            controls: robot to its commanded body-frame force and torque (Fx, Fy, tau), shape (3,) [N], [N m];
+                clipped to the robot's limits. All robots need one.
+
+        Returns:
+            The impacts, in order of time; touches that start a lasting contact are none.
+
+        Raises:
+            InputError: a robot without control, an unknown robot, or a control that is not three finite
+                numbers.
+        """
+        robots = self.scenario.robots
+        if controls.keys() != robots.keys():
+            wrong = ", ".join(sorted(controls.keys() ^ robots.keys()))
+            raise InputError(f"controls must name every robot once, not so: {wrong}; {choices(wrong, robots)}")
+        for row, limits, name in zip(self._controls[0], self._limits, robots, strict=True):
+            command = [float(u) for u in controls[name]]
+            if len(command) != 3 or not all(map(math.isfinite, command)):
+                raise InputError(f"control of {name} = {command}: three finite numbers Fx, Fy, tau are needed")
+            for channel, (u, limit) in enumerate(zip(command, limits, strict=True)):
+                row[channel] = min(max(u, -limit), limit)
+        step_alone(*self._arena, *self._worlds, *self._scratch, self._log, self._controls, self._states)
+        hits = int(self._worlds.counter[0, HITS])
+        return [self._impact(row) for row in self._log[0, :hits].tolist()] if hits else []
+
+    def _impact(self, row: list[float]) -> Impact:
+        time, i, j, px, py, nx, ny, along, across, speed = row
+        a, b = self._names[int(i)], self._names[int(j)]
+        if j >= len(self.scenario.bodies):  # the fixed one is named first
+            a, b, nx, ny, along, across = b, a, -nx, -ny, -along, -across
+        return Impact(time, a, b, (px, py), (nx, ny), (along, across), speed)

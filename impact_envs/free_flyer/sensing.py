@@ -1,0 +1,194 @@
+"""What the sensors of world k make of its true states, and how measurements are laid out in observations.
+
+Compiled scalar functions for one world of many; the single environment is a batch of one. Every array has the world as
+its first axis. Nothing has to be cleared between episodes: sample 0 starts anew.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_envs.compiled import inlined
+from impact_envs.stream import normal_pair
+
+BODY_SIZE = 7  # x, y, vx, vy, cos(heading), sin(heading), omega
+TAIL_SIZE = 4  # contact, time / horizon, robustness_lower, robustness_upper
+# The published replanner averages the differences of its last 15 positions, which is this difference quotient.
+VELOCITY_WINDOW = 15
+# Slowest impact the inertial unit feels; below it lies resting contact.
+FELT_SPEED = 1e-3  # [m/s]
+STATE_SIZE = 6  # x, y, vx, vy, heading, omega
+
+
+class Sensing(NamedTuple):
+    """The sensors of a scenario's true world.
+
+    Attributes:
+        period: control period [s].
+        noise: standard deviation of positions per axis [m].
+        velocity_measured: False when velocity is a filtered difference of positions.
+        delay_steps: control periods between event and observation.
+    """
+
+    period: float
+    noise: float
+    velocity_measured: bool
+    delay_steps: int
+
+
+def compute_memory_size(sensing: Sensing, bodies: int, robots: int) -> int:
+    """Return how many numbers ``take_sample`` remembers per world: the velocity window, then the delay line.
+
+    Args:
+        sensing: without velocity measurement the window is kept, with a delay the delay line.
+        bodies, robots: how many.
+    """
+    window = 0 if sensing.velocity_measured else 2 * bodies * VELOCITY_WINDOW
+    return window + sensing.delay_steps * (STATE_SIZE * bodies + robots)
+
+
+@inlined
+def take_sample(
+    sensing: Sensing,
+    k: int,
+    sample: int,
+    states: np.ndarray,
+    contacts: np.ndarray,
+    uniforms: np.ndarray,
+    memory: np.ndarray,
+    measured: np.ndarray,
+    felt: np.ndarray,
+) -> None:
+    """Take one sample of world k; call once per control step.
+
+    Args:
+        sensing: noise, velocity and delay.
+        k: world.
+        sample: number of the sample, 0 at the start of the episode.
+        states: true [x, y, vx, vy, heading, omega] of all bodies, shape (worlds, bodies, 6).
+        contacts: which robots felt an impact, shape (worlds, robots), 0 or 1.
+        uniforms: two numbers in [0, 1) per body, shape (worlds, 2 bodies); not read without noise.
+        memory: shape (worlds, ``compute_memory_size``), changed in place.
+        measured: takes the measured states, as old as the delay (the first ones until then), shape (worlds, bodies, 6).
+        felt: takes the contacts of the same age, shape (worlds, robots).
+    """
+    for i in range(states.shape[1]):
+        for j in range(STATE_SIZE):
+            measured[k, i, j] = states[k, i, j]
+        if sensing.noise > 0.0:
+            x, y = normal_pair(uniforms[k, 2 * i], uniforms[k, 2 * i + 1])
+            measured[k, i, 0] += sensing.noise * x
+            measured[k, i, 1] += sensing.noise * y
+    for r in range(contacts.shape[1]):
+        felt[k, r] = contacts[k, r]
+    start = 0
+    if not sensing.velocity_measured:
+        _differentiate(sensing, k, sample, memory, measured)
+        start = 2 * states.shape[1] * VELOCITY_WINDOW
+    if sensing.delay_steps > 0:
+        _delay(sensing, k, sample, memory, start, measured, felt)
+
+
+@inlined
+def _differentiate(sensing: Sensing, k: int, sample: int, memory: np.ndarray, measured: np.ndarray) -> None:
+    """Replace velocities by the difference quotient to the oldest remembered position.
+
+    v = (p - p_oldest) / (n period), n = min(sample, VELOCITY_WINDOW) periods ago; zero for the first sample.
+    """
+    bodies = measured.shape[1]
+    periods = min(sample, VELOCITY_WINDOW)
+    newest = 2 * bodies * (sample % VELOCITY_WINDOW)
+    oldest = newest if sample >= VELOCITY_WINDOW else 0
+    for i in range(bodies):
+        for axis in range(2):
+            position = measured[k, i, axis]
+            velocity = 0.0
+            if periods > 0:
+                velocity = (position - memory[k, oldest + 2 * i + axis]) / (periods * sensing.period)
+            measured[k, i, 2 + axis] = velocity
+            memory[k, newest + 2 * i + axis] = position
+
+
+@inlined
+def _delay(
+    sensing: Sensing,
+    k: int,
+    sample: int,
+    memory: np.ndarray,
+    start: int,
+    measured: np.ndarray,
+    felt: np.ndarray,
+) -> None:
+    """Exchange a sample for the one of a delay ago, or for the first one."""
+    bodies, robots = measured.shape[1], felt.shape[1]
+    size = STATE_SIZE * bodies + robots
+    newest = start + size * (sample % sensing.delay_steps)
+    oldest = newest if sample >= sensing.delay_steps else start
+    first = sample == 0
+    for i in range(bodies):
+        for j in range(STATE_SIZE):
+            at = STATE_SIZE * i + j
+            new = measured[k, i, j]
+            measured[k, i, j] = new if first else memory[k, oldest + at]
+            memory[k, newest + at] = new
+    for r in range(robots):
+        at = STATE_SIZE * bodies + r
+        contact = felt[k, r]
+        felt[k, r] = contact if first else memory[k, oldest + at]
+        memory[k, newest + at] = contact
+
+
+@inlined
+def write_joint_observation(
+    k: int, measured: np.ndarray, felt: np.ndarray, fraction: float, low: float, high: float, joint: np.ndarray
+) -> None:
+    """Write everything world k measured once: bodies in scenario order, contacts, time, robustness interval.
+
+    Args:
+        k: world.
+        measured: [x, y, vx, vy, heading, omega] of all bodies, shape (worlds, bodies, 6).
+        felt: contacts, shape (worlds, robots).
+        fraction: time / horizon.
+        low, high: interval of robustness still possible [m].
+        joint: takes the observation, shape (worlds, BODY_SIZE bodies + robots + 3).
+    """
+    at = 0
+    for i in range(measured.shape[1]):
+        heading = measured[k, i, 4]
+        joint[k, at] = measured[k, i, 0]
+        joint[k, at + 1] = measured[k, i, 1]
+        joint[k, at + 2] = measured[k, i, 2]
+        joint[k, at + 3] = measured[k, i, 3]
+        joint[k, at + 4] = math.cos(heading)
+        joint[k, at + 5] = math.sin(heading)
+        joint[k, at + 6] = measured[k, i, 5]
+        at += BODY_SIZE
+    for r in range(felt.shape[1]):
+        joint[k, at] = felt[k, r]
+        at += 1
+    joint[k, at] = fraction
+    joint[k, at + 1] = low
+    joint[k, at + 2] = high
+
+
+@inlined
+def write_agent_observation(k: int, agent: int, joint: np.ndarray, out: np.ndarray) -> None:
+    """Write a robot's observation of world k: itself, other robots, objects, its contact, time, robustness interval.
+
+    Args:
+        k: world.
+        agent: robot, its number.
+        joint: as ``write_joint_observation`` left it, shape (worlds, BODY_SIZE bodies + robots + 3).
+        out: takes the observation, shape (worlds, robots, BODY_SIZE bodies + TAIL_SIZE).
+    """
+    tail = out.shape[2] - TAIL_SIZE
+    for i in range(tail // BODY_SIZE):
+        place = 0 if i == agent else i + 1 if i < agent else i
+        for j in range(BODY_SIZE):
+            out[k, agent, BODY_SIZE * place + j] = joint[k, BODY_SIZE * i + j]
+    out[k, agent, tail] = joint[k, tail + agent]
+    for j in range(TAIL_SIZE - 1):
+        out[k, agent, tail + 1 + j] = joint[k, tail + out.shape[1] + j]

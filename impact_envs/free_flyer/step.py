@@ -1,0 +1,225 @@
+"""One control period of the whole task in world k: actions, physics, sensors, robustness, reward, observation.
+
+Compiled scalar functions, the same arithmetic as ImpactEnv with FreeFlyerTask, so that a world of many equals the
+single environment bit for bit.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_envs.compiled import compiled, inlined
+from impact_envs.free_flyer.engine import step_world
+from impact_envs.free_flyer.sensing import (
+    FELT_SPEED,
+    Sensing,
+    take_sample,
+    write_agent_observation,
+    write_joint_observation,
+)
+from impact_envs.free_flyer.worlds import FELT, LIMIT, OWED, STEPS, Arena, Scratch, Worlds, read_states, write_states
+from impact_envs.stl.program import Program
+from impact_envs.stl.stepper import start_monitor, update_monitor
+from impact_envs.stream import next_double
+
+
+class Rules(NamedTuple):
+    """What all worlds share of the task.
+
+    Attributes:
+        horizon: number of control periods that observations count time in.
+        last: control periods after which an episode is truncated.
+        diagonal: of the world; bounds of robustness are clipped to it [m].
+        effort: robustness that a full-thrust step of every actuator costs [m].
+        start: x, y, vx, vy, heading, omega of the bodies at the start, shape (1, n, 6).
+    """
+
+    horizon: float
+    last: int
+    diagonal: float
+    effort: float
+    start: np.ndarray
+
+
+class Memory(NamedTuple):
+    """What the task remembers of N worlds.
+
+    Attributes:
+        states: true states of the bodies' centres, shape (N, n, 6).
+        signals: the same numbers, shape (N, 6 n).
+        contacts: which robots felt an impact, shape (N, r).
+        streams: random streams, shape (N, 4) uint64.
+        uniforms: drawn for the noise of a sample, shape (N, 2 n), or (N, 0) without noise.
+        samples: velocity window and delay line, shape (N, ...).
+        measured, felt: states and contacts as measured; of ideal sensors ``states`` and ``contacts`` themselves.
+        monitor: of the formula, shape (N, ...).
+        bounds: interval of robustness still possible, shape (N, 2) [m].
+        controls: body-frame force and torque, shape (N, r, 3) [N], [N m].
+    """
+
+    states: np.ndarray
+    signals: np.ndarray
+    contacts: np.ndarray
+    streams: np.ndarray
+    uniforms: np.ndarray
+    samples: np.ndarray
+    measured: np.ndarray
+    felt: np.ndarray
+    monitor: np.ndarray
+    bounds: np.ndarray
+    controls: np.ndarray
+
+
+class Output(NamedTuple):
+    """What a step returns of N worlds.
+
+    Attributes:
+        joint: everything measured once, shape (N, joint size).
+        agents: each robot's observation, shape (N, r, agent size), or no robots where nobody asks.
+        rewards: of each robot, shape (N, r) [m].
+    """
+
+    joint: np.ndarray
+    agents: np.ndarray
+    rewards: np.ndarray
+
+
+@inlined
+def compute_effort(actions: np.ndarray, k: int, i: int) -> float:
+    """Return robot i's effort in one control period: mean square of its clipped action, in [0, 1]."""
+    total = 0.0
+    for channel in range(3):
+        u = min(max(float(actions[k, i, channel]), -1.0), 1.0)
+        total += u * u
+    return total / 3
+
+
+@inlined
+def step_task(
+    arena: Arena,
+    worlds: Worlds,
+    scratch: Scratch,
+    log: np.ndarray,
+    program: Program,
+    sensing: Sensing,
+    rules: Rules,
+    memory: Memory,
+    output: Output,
+    c: int,
+    k: int,
+    actions: np.ndarray,
+) -> None:
+    """Hold world k's actions, shape (N, r, 3) in [-1, 1], for one control period."""
+    for i in range(arena.robots):
+        for channel in range(3):
+            u = min(max(float(actions[k, i, channel]), -1.0), 1.0)
+            memory.controls[k, i, channel] = u * arena.discs[i, LIMIT + channel]
+    step_world(arena, worlds, scratch, log, c, k, memory.controls)
+    read_states(worlds, k, memory.states)
+    for i in range(arena.robots):
+        memory.contacts[k, i] = 1.0 if worlds.body[k, i, FELT] > FELT_SPEED else 0.0
+    before = memory.bounds[k, 0] + memory.bounds[k, 1]
+    watch(program, rules, memory, k, worlds.counter[k, STEPS])
+    low, high = memory.bounds[k, 0], memory.bounds[k, 1]
+    team = (low + high - before) / 2 + (low if worlds.counter[k, STEPS] >= rules.last else 0.0)
+    for i in range(arena.robots):
+        output.rewards[k, i] = team / arena.robots - rules.effort * compute_effort(actions, k, i)
+    observe(worlds, sensing, rules, memory, output, k)
+
+
+@inlined
+def start_task(
+    worlds: Worlds,
+    program: Program,
+    sensing: Sensing,
+    rules: Rules,
+    memory: Memory,
+    output: Output,
+    k: int,
+) -> None:
+    """Start an episode in world k, whose physics are drawn."""
+    for column in range(3):
+        worlds.counter[k, column] = 0
+    for i in range(worlds.thruster.shape[1]):
+        worlds.thruster[k, i, OWED] = worlds.thruster[k, i, OWED + 1] = 0.0
+    write_states(worlds, k, rules.start, 0)
+    read_states(worlds, k, memory.states)
+    for i in range(memory.contacts.shape[1]):
+        memory.contacts[k, i] = 0.0
+        output.rewards[k, i] = 0.0
+    start_monitor(program, memory.monitor, k)
+    watch(program, rules, memory, k, 0)
+    observe(worlds, sensing, rules, memory, output, k)
+
+
+@inlined
+def watch(program: Program, rules: Rules, memory: Memory, k: int, count: int) -> None:
+    """Take the formula's sample of world k."""
+    low, high = update_monitor(program, memory.monitor, k, count, memory.signals)
+    memory.bounds[k, 0] = max(-rules.diagonal, min(rules.diagonal, low))
+    memory.bounds[k, 1] = max(-rules.diagonal, min(rules.diagonal, high))
+
+
+@inlined
+def observe(worlds: Worlds, sensing: Sensing, rules: Rules, memory: Memory, output: Output, k: int) -> None:
+    """Take the sensors' sample of world k and write its observations."""
+    steps = worlds.counter[k, STEPS]
+    for i in range(memory.uniforms.shape[1]):
+        memory.uniforms[k, i] = next_double(memory.streams, k)
+    if memory.uniforms.shape[1] + memory.samples.shape[1] > 0:
+        take_sample(
+            sensing,
+            k,
+            steps,
+            memory.states,
+            memory.contacts,
+            memory.uniforms,
+            memory.samples,
+            memory.measured,
+            memory.felt,
+        )
+    fraction = steps * sensing.period / rules.horizon
+    low, high = memory.bounds[k, 0], memory.bounds[k, 1]
+    write_joint_observation(k, memory.measured, memory.felt, fraction, low, high, output.joint)
+    for i in range(output.agents.shape[1]):
+        write_agent_observation(k, i, output.joint, output.agents)
+
+
+# What run does with a world.
+LEAVE, STEP, START = range(3)
+
+
+@compiled
+def run_range(
+    arena: Arena,
+    worlds: Worlds,
+    scratch: Scratch,
+    log: np.ndarray,
+    program: Program,
+    sensing: Sensing,
+    rules: Rules,
+    memory: Memory,
+    output: Output,
+    actions: np.ndarray,
+    todo: np.ndarray,
+    c: int,
+    first: int,
+    end: int,
+) -> None:
+    """Step or start the worlds from first to before end, as todo says."""
+    for k in range(first, end):
+        if todo[k] == STEP:
+            step_task(arena, worlds, scratch, log, program, sensing, rules, memory, output, c, k, actions)
+        elif todo[k] == START:
+            start_task(worlds, program, sensing, rules, memory, output, k)
+
+
+@compiled
+def find_not_finite(actions: np.ndarray) -> int:
+    """Return the place of the first action that is no finite number, in a flat view, or -1."""
+    for place in range(actions.size):
+        if not np.isfinite(actions[place]):
+            return place
+    return -1
