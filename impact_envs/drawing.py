@@ -99,6 +99,24 @@ def draw_dashes(canvas: pygame.Surface, color: Color, points: Points, width: flo
         draw_line(canvas, color, np.stack([np.interp(ends, arc, axis) for axis in points.T], axis=1), width)
 
 
+def draw_chain(canvas: pygame.Surface, color: Color, points: Points, width: float) -> None:
+    """Draw links from joint to joint, the joints as rings.
+
+    Args:
+        canvas: surface to draw on.
+        color: of the links, which are lightened.
+        points: the first joint, further joints and the end, shape (n, 2) [px].
+        width: of the links [px].
+    """
+    import pygame
+
+    draw_line(canvas, mix(color, 0.8, INK), points, width)
+    draw_line(canvas, mix(color, 0.55), points, 0.7 * width)
+    for point in points[:-1].tolist():
+        pygame.draw.circle(canvas, mix(color, 0.8, INK), point, 0.8 * width)
+        pygame.draw.circle(canvas, PAPER, point, 0.45 * width)
+
+
 def draw_star(canvas: pygame.Surface, color: Color, center: Points, radius: float) -> None:
     """Draw a five-pointed star with a light rim.
 

@@ -34,6 +34,7 @@ class Frame:
     Args:
         time: since the start of the episode [s].
         poses: (x, y, heading) of each body [m, m, rad].
+        chains: links from where a body is held to the body, by body, shape (n, 2) [m].
         trails: positions so far of each body, shape (n, 2) [m].
         plans: planned curves by body (any other name is drawn grey), shape (n, 2) [m].
         impacts: (x, y, age) of each impact, oldest first; the last dozen are drawn [m, m, s].
@@ -43,6 +44,7 @@ class Frame:
 
     time: float
     poses: Mapping[str, Pose]
+    chains: Mapping[str, Points] = field(default_factory=dict)
     trails: Mapping[str, Points] = field(default_factory=dict)
     plans: Mapping[str, Points] = field(default_factory=dict)
     impacts: Sequence[tuple[float, float, float]] = ()
@@ -109,6 +111,8 @@ class Painter:
                 raise InputError(f"no pose for body '{body}': {choices(body, frame.poses)}")
         canvas = self._draw_background().copy()
         self._draw_curves(canvas, frame)
+        for body, points in frame.chains.items():
+            drawing.draw_chain(canvas, self._colors.get(body, drawing.MUTED), self._pixels(points), 7.0 * ZOOM)
         for body, shape in self._carried:
             self._draw_body(canvas, shape, frame.poses[body], self._colors[body])
         for x, y, age in frame.impacts[-KEPT_IMPACTS:]:

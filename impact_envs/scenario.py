@@ -19,10 +19,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from impact_envs.errors import InputError, ScenarioError, choices
-from impact_envs.stl import RESERVED, Formula, parse
+from impact_envs.stl import RESERVED, SIGNALS, Formula, parse
 
 PACKAGE = Path(__file__).parent
-DOMAINS = {"free_flyer": ("impact_envs.free_flyer.schema", "FreeFlyerScenario")}
+DOMAINS = {
+    "floating_manipulator": ("impact_envs.floating_manipulator.schema", "FloatingManipulatorScenario"),
+    "free_flyer": ("impact_envs.free_flyer.schema", "FreeFlyerScenario"),
+}
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -169,6 +172,11 @@ class Scenario(Table):
         raise TypeError("a domain's schema says what its bodies are")
 
     @property
+    def signals(self) -> tuple[str, ...]:
+        """Return what a formula may say of a body, for example ``vx`` in ``pop.vx``."""
+        return SIGNALS
+
+    @property
     def areas(self) -> Mapping[str, Region]:
         """Return every area a formula may name."""
         return self.regions
@@ -253,7 +261,7 @@ class Scenario(Table):
                 raise ValueError(f"'{name}' cannot be named in a formula; use letters, digits and underscores")
         try:
             formula = self.specification
-            formula.check_names(self.bodies, tuple(self.areas))
+            formula.check_names(self.bodies, tuple(self.areas), self.signals)
             formula.reach(self.control_period)
         except InputError as error:
             raise ValueError(f"formula: {error}") from None

@@ -13,7 +13,16 @@ from planners.errors import Infeasible, PlanningError, SolverFailed
 if TYPE_CHECKING:
     from planners.plan import Plan
 
-__all__ = ["Infeasible", "PlanningError", "SolverFailed", "make_expert", "make_plan"]
+__all__ = [
+    "Infeasible",
+    "PlanningError",
+    "SolverFailed",
+    "check_planned",
+    "has_planner",
+    "list_variants",
+    "make_expert",
+    "make_plan",
+]
 
 # Planners by objective and expert of each domain, loaded with their solvers when first used.
 PLANNERS = {
@@ -22,7 +31,16 @@ PLANNERS = {
         "impact_uncertainty": ("planners.free_flyer.impact_robust", "make_impact_robust_plan"),
     }
 }
-EXPERTS = {"free_flyer": ("planners.free_flyer.expert", "FreeFlyerExpert")}
+EXPERTS = {
+    "dual_arm": ("planners.dual_arm.expert", "make_dual_arm_expert"),
+    "floating_manipulator": ("planners.floating_manipulator.expert", "make_floating_manipulator_expert"),
+    "free_flyer": ("planners.free_flyer.expert", "FreeFlyerExpert"),
+}
+# Experts' published forms and baselines, by the names they go by as policies.
+VARIANTS = {
+    "dual_arm": ("published", "no_impact_map", "no_interim_phase", "no_synchronisation"),
+    "floating_manipulator": ("printed", "measured_base"),
+}
 
 
 def make_plan(scenario: str | Path | Scenario, objective: str = "robustness", **options: Any) -> Plan:
@@ -42,28 +60,38 @@ def make_plan(scenario: str | Path | Scenario, objective: str = "robustness", **
         SolverFailed: a solver stopped early, or the plan failed the check.
     """
     loaded = load_scenario(scenario)
-    objectives = _of_domain(PLANNERS, loaded)
+    check_planned(loaded)
+    objectives = PLANNERS[loaded.domain]
     if objective not in objectives:
         raise InputError(f"objective '{objective}' is unknown; {choices(objective, objectives)}")
     module, name = objectives[objective]
     return getattr(import_module(module), name)(loaded.as_believed(), **options)
 
 
-def make_expert(scenario: str | Path | Scenario, plan: Plan | None = None) -> Any:
+def make_expert(scenario: str | Path | Scenario, plan: Plan | None = None, variant: str | None = None) -> Any:
     """Make the expert policy of a scenario; it never sees the true physics.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario.
-        plan: to execute; planned now without one.
+        plan: to execute; planned now without one, where the domain has a planner.
+        variant: a published form or baseline to compare the expert with, see list_variants.
 
     Returns:
-        A Policy that also takes corrections (see agents.residual).
+        A Policy; a free-flyer's also takes corrections (see agents.residual).
 
     Raises:
-        InputError, PlanningError: as make_plan; InputError also when the plan is another scenario's.
+        InputError, PlanningError: as make_plan; InputError also when the plan is another scenario's, or the variant is
+            unknown.
     """
     loaded = load_scenario(scenario)
-    module, name = _of_domain(EXPERTS, loaded)
+    module, name = EXPERTS[loaded.domain]
+    variants = list_variants(loaded)
+    if variant is not None and variant not in variants:
+        raise InputError(f"domain '{loaded.domain}' has no variant '{variant}'; {choices(variant, variants)}")
+    if not has_planner(loaded):
+        if plan is not None:
+            check_planned(loaded)
+        return getattr(import_module(module), name)(loaded.as_believed(), variant)
     if plan is None:
         plan = make_plan(loaded)
     elif set(plan.robots) != set(loaded.agents):
@@ -74,7 +102,24 @@ def make_expert(scenario: str | Path | Scenario, plan: Plan | None = None) -> An
     return getattr(import_module(module), name)(loaded.as_believed(), plan)
 
 
-def _of_domain(table: dict[str, Any], scenario: Scenario) -> Any:
-    if scenario.domain not in table:
-        raise InputError(f"no expert for domain '{scenario.domain}'; {choices(scenario.domain, table)}")
-    return table[scenario.domain]
+def list_variants(scenario: Scenario) -> tuple[str, ...]:
+    """Return the published forms and baselines of a scenario's expert."""
+    return VARIANTS.get(scenario.domain, ())
+
+
+def has_planner(scenario: Scenario) -> bool:
+    """Return whether a scenario's expert executes a plan made beforehand."""
+    return scenario.domain in PLANNERS
+
+
+def check_planned(scenario: Scenario) -> None:
+    """Raise unless a scenario can be planned.
+
+    Raises:
+        InputError: its domain has no planner.
+    """
+    if not has_planner(scenario):
+        raise InputError(
+            f"scenario '{scenario.name}' has domain '{scenario.domain}', whose expert follows no plan; "
+            f"domains with a planner: {', '.join(PLANNERS)}"
+        )

@@ -66,7 +66,7 @@ class Run:
     scenario: Positional[str]
     """Shipped name or TOML file."""
     policy: str = "expert"
-    """expert, zero, random, a shipped policy or a checkpoint folder."""
+    """expert, zero, random, a variant of the expert, a shipped policy or a checkpoint folder."""
     seed: int = EVALUATION_SEED
     """Of the whole episode."""
     suite: str = "nominal"
@@ -77,6 +77,8 @@ class Run:
     """Execute this plan instead of planning: a JSON file, or a folder of published CSV files."""
     render: str | None = None
     """human, or a file ending in .mp4, .gif or .png (the last frame)."""
+    plot: Path | None = None
+    """Draw a floating manipulator's whole episode: a file ending in .png, .pdf or .svg."""
     json: bool = False
 
     def run(self) -> dict[str, Any]:
@@ -91,12 +93,15 @@ class Run:
         if self.seed < 0:
             raise InputError(f"seed {self.seed} is negative; choices: 0, 1, 2, ...")
         film = _open_film(self.render)
+        watcher = _make_record(scenario, self.plot)
         policy = make_policy(self.policy, scenario, plan=load_plan(self.plan, scenario))
         env = parallel_env(scenario, render_mode="rgb_array" if film else self.render)
         env.curves |= _plan_curves(policy)
         every = scenario.steps if film and film.suffix == ".png" else max(1, round(0.1 / scenario.control_period))
 
         def record(shown: Any) -> None:
+            if watcher:
+                watcher.add(shown)
             if film and (shown.steps % every == 0 or not shown.agents):
                 film.add(shown.render())
 
@@ -104,7 +109,11 @@ class Run:
         env.close()
         if film:
             film.close()
-        return _episode_summary(episode, self.suite)
+        if self.plot:
+            from train.manipulator_picture import save_manipulator_picture
+
+            save_manipulator_picture(watcher, episode, self.plot)
+        return _episode_summary(episode, self.suite) | (watcher.figures(episode) if watcher else {})
 
 
 @dataclass
@@ -150,7 +159,7 @@ class Evaluate:
     scenarios: Positional[tuple[str, ...]]
     """Shipped names or TOML files."""
     policies: tuple[str, ...] = ("expert", "zero")
-    """expert, zero, random, shipped policies or checkpoint folders."""
+    """expert, zero, random, variants of the expert, shipped policies or checkpoint folders."""
     episodes: int = 20
     """Episodes per scenario, suite and policy."""
     seed: int = EVALUATION_SEED
@@ -335,6 +344,24 @@ def _open_film(render: str | None) -> Any:
     if Path(render).suffix.lower() not in SUFFIXES:
         raise InputError(f"--render {render}: choices: human, a file ending in {', '.join(SUFFIXES)}")
     return Film(render, fps=30)
+
+
+def _make_record(scenario: Any, plot: Path | None) -> Any:
+    """Return what watches a floating manipulator's episode, None in another domain."""
+    if plot:
+        from train.plan_picture import check_picture_path
+
+        check_picture_path(plot)
+    if scenario.domain != "floating_manipulator":
+        if plot:
+            raise InputError(
+                f"--plot {plot}: scenario {scenario.name} is of domain {scenario.domain}; "
+                "choices: scenarios of domain floating_manipulator, or impact plan --plot"
+            )
+        return None
+    from train.manipulator_record import ManipulatorRecord
+
+    return ManipulatorRecord(scenario)
 
 
 def _plan_curves(policy: Any) -> dict[str, Any]:

@@ -17,10 +17,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from agents.checkpoint import write_atomically
 from impact_envs.errors import InputError, choices
 from impact_envs.scenario import Scenario, load_scenario
-from planners import make_plan
+from planners import has_planner, list_variants, make_plan
 from planners.plan import Plan
 from train.metrics import compare, summarize
-from train.play import BUILT_IN, Case, Job, checkpoint_directory, follows_plan, make_policy, play
+from train.play import Case, Job, checkpoint_directory, follows_plan, is_built_in, make_policy, play
 from train.record import Journal, digest, episode_to_dict, row_key, write_json
 
 __all__ = ["EVALUATION_SEEDS", "EvaluationResult", "episode_to_dict", "evaluate", "make_policy"]
@@ -97,7 +97,7 @@ def evaluate(
     start = time.perf_counter()
     labels = [str(policy).rstrip("/") or str(policy) for policy in policies]
     cases = _make_cases(scenarios, suites)
-    _check_request(labels, episodes, seed, workers)
+    _check_request(cases, labels, episodes, seed, workers)
     jobs = [
         Job(case, label, number, replay=out is not None and number == seed)
         for case in range(len(cases))
@@ -136,14 +136,15 @@ def _make_cases(scenarios: Sequence[str | Path | Scenario], suites: Sequence[str
     return [Case(scenario.suite(suite), suite) for scenario in loaded for suite in suites]
 
 
-def _check_request(labels: Sequence[str], episodes: int, seed: int, workers: int) -> None:
+def _check_request(cases: Sequence[Case], labels: Sequence[str], episodes: int, seed: int, workers: int) -> None:
     _check_list("policy", labels)
     for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("workers", workers, 1)):
         if value < least:
             raise InputError(f"{name} {value} is too small; choices: {least}, {least + 1}, ...")
     for label in labels:
-        if label not in BUILT_IN:
-            _check_checkpoint(label)
+        for case in cases:
+            if not is_built_in(label, case.scenario):
+                _check_checkpoint(label, list_variants(case.scenario))
 
 
 def _check_list(kind: str, names: Sequence[str]) -> None:
@@ -154,18 +155,18 @@ def _check_list(kind: str, names: Sequence[str]) -> None:
             raise InputError(f"{kind} '{name}' is given twice; {choices('', sorted(set(names)))}")
 
 
-def _check_checkpoint(label: str) -> None:
+def _check_checkpoint(label: str, variants: Sequence[str]) -> None:
     # Imported here: an evaluation without checkpoints needs no torch.
     from agents.actor import load_policy
 
-    load_policy(checkpoint_directory(label))
+    load_policy(checkpoint_directory(label, variants))
 
 
 def _digests(cases: Sequence[Case], labels: Sequence[str]) -> dict[str, str]:
     """Return what each input's content is told by, so that a journal is never continued with other inputs."""
     digests = {f"{case.scenario.name}/{case.suite}": digest(case.scenario.model_dump_json().encode()) for case in cases}
     for label in labels:
-        if label not in BUILT_IN:
+        if not all(is_built_in(label, case.scenario) for case in cases):
             files = sorted(checkpoint_directory(label).glob("policy.*"))
             digests[label] = digest(*(file.read_bytes() for file in files))
     return digests
@@ -188,7 +189,7 @@ def _key(cases: Sequence[Case], job: Job) -> tuple[str, str, str, int]:
 
 def _make_plans(cases: Sequence[Case], jobs: Iterable[Job]) -> list[Case]:
     """Plan once per believed scenario, and not in the workers: a plan may depend on how busy they are."""
-    needed = {job.case for job in jobs if follows_plan(job.policy)}
+    needed = {job.case for job in jobs if follows_plan(job.policy) and has_planner(cases[job.case].scenario)}
     plans: dict[str, Plan] = {}
     planned = []
     for place, case in enumerate(cases):

@@ -45,12 +45,13 @@ class Plan:
 
     def run(self) -> dict[str, Any]:
         """Return robustness, bound, gap, impacts and times of the plan."""
+        from planners import check_planned, make_plan
+
         scenario = load_scenario(self.scenario)
+        check_planned(scenario)
         self._check()
         if self.encoding == "bezier":
             return self._plan_by_bezier(scenario)
-        from planners import make_plan
-
         options: dict[str, Any] = {"objective": self.objective, "time_limit": self.time_limit}
         if self.objective == "robustness":
             options["solver"] = self.solver
@@ -146,6 +147,9 @@ def load_plan(path: Path | None, scenario: Any) -> StoredPlan | None:
     """
     if path is None:
         return None
+    from planners import check_planned
+
+    check_planned(scenario)
     if path.is_dir():
         from planners.free_flyer.published import read_published_plan
         from planners.free_flyer.published_conversion import convert_published_plan

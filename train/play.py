@@ -17,7 +17,7 @@ from impact_envs.env import ImpactEnv, parallel_env
 from impact_envs.errors import InputError, choices
 from impact_envs.rollout import Policy, RandomPolicy, ZeroPolicy, rollout
 from impact_envs.scenario import Scenario, load_scenario
-from planners import make_expert
+from planners import list_variants, make_expert
 from planners.plan import Plan
 from train.record import episode_to_dict, make_row
 
@@ -64,11 +64,17 @@ def follows_plan(policy: str) -> bool:
     return policy not in ("zero", "random")
 
 
-def checkpoint_directory(name: str) -> Path:
+def is_built_in(policy: str, scenario: Scenario) -> bool:
+    """Return whether a policy of this name needs no checkpoint in a scenario."""
+    return policy in (*BUILT_IN, *list_variants(scenario))
+
+
+def checkpoint_directory(name: str, variants: Sequence[str] = ()) -> Path:
     """Return the checkpoint directory a policy name stands for.
 
     Args:
         name: a directory, or the name of a shipped checkpoint.
+        variants: of the scenario's expert, to be named among the choices.
 
     Raises:
         InputError: neither; the line lists what there is.
@@ -78,7 +84,7 @@ def checkpoint_directory(name: str) -> Path:
         return Path(name)
     if name in shipped:
         return SHIPPED / name
-    known = choices(name, (*BUILT_IN, *shipped))
+    known = choices(name, (*BUILT_IN, *variants, *shipped))
     raise InputError(f"policy '{name}' is unknown; {known}, or a checkpoint directory")
 
 
@@ -86,8 +92,8 @@ def make_policy(name: str, scenario: str | Path | Scenario, plan: Plan | None = 
     """Make a policy from its name.
 
     Args:
-        name: ``expert``, ``zero`` (no control), ``random`` (uniform actions), a checkpoint directory, or the
-            name of a shipped checkpoint.
+        name: ``expert``, ``zero`` (no control), ``random`` (uniform actions), a variant of the expert (see
+            planners.list_variants), a checkpoint directory, or the name of a shipped checkpoint.
         scenario: a shipped name, the path of a TOML file, or a Scenario; experts see only its believed part.
         plan: for the expert to follow; planned now if one is needed and none is given.
 
@@ -102,7 +108,10 @@ def make_policy(name: str, scenario: str | Path | Scenario, plan: Plan | None = 
         return RandomPolicy(parallel_env(loaded))
     if name == "expert":
         return make_expert(loaded, plan)
-    return ResidualPolicy.load(checkpoint_directory(name), loaded, plan)
+    variants = list_variants(loaded)
+    if name in variants:
+        return make_expert(loaded, plan, name)
+    return ResidualPolicy.load(checkpoint_directory(name, variants), loaded, plan)
 
 
 def play(cases: Sequence[Case], jobs: Sequence[Job], workers: int = 1) -> Generator[Outcome]:
@@ -123,7 +132,7 @@ def play(cases: Sequence[Case], jobs: Sequence[Job], workers: int = 1) -> Genera
         PlanningError: an expert found no plan.
     """
     if workers == 1 or len(jobs) < 2:
-        _use_one_thread(jobs)
+        _use_one_thread(cases, jobs)
         yield from map(_Player(cases).play, jobs)
         return
     spawn = multiprocessing.get_context("spawn")
@@ -167,7 +176,7 @@ def _start_worker(cases: Sequence[Case], jobs: Sequence[Job]) -> None:
     global _player
     # Ctrl-C is the parent's to handle; workers finish their episode and leave.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _use_one_thread(jobs)
+    _use_one_thread(cases, jobs)
     _player = _Player(cases)
 
 
@@ -175,10 +184,10 @@ def _play_in_worker(job: Job) -> Outcome:
     return _player.play(job)
 
 
-def _use_one_thread(jobs: Sequence[Job]) -> None:
+def _use_one_thread(cases: Sequence[Case], jobs: Sequence[Job]) -> None:
     """Keep numerical libraries from using a thread per core in every process."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    if any(job.policy not in BUILT_IN for job in jobs):
+    if not all(is_built_in(job.policy, cases[job.case].scenario) for job in jobs):
         # Imported here: playing without checkpoints needs no torch.
         import torch
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_envs.errors import InputError, choices
+from impact_envs.floating_manipulator.actuation import compute_forces
 from impact_envs.floating_manipulator.events import FLOWN, HIT, advance
 from impact_envs.floating_manipulator.flow import (
     System,
@@ -20,7 +21,7 @@ from impact_envs.floating_manipulator.flow import (
     find_contact,
     make_scratch,
 )
-from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Motor, Physics
+from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
 from impact_envs.physics.impact import (
     Impact,
     Side,
@@ -205,17 +206,11 @@ class FloatingManipulatorModel:
 
     def _actuate(self, controls: Mapping[str, np.ndarray]) -> None:
         """Turn commands into the forces held over the coming control period."""
-        n, physics, scenario = self._n, self.physics, self.scenario
-        arm = _check_control("arm", controls["arm"], n)
-        drop = physics.stall_torque * self._v[3 : 3 + n] / physics.no_load_speed
-        self._force[3 : 3 + n] = np.clip(arm, -physics.stall_torque - drop, physics.stall_torque - drop)
-        if "base" in controls:
-            fx, fy, torque = _check_control("base", controls["base"], 3)
-            dead = scenario.thrusters.dead_zone if scenario.thrusters else 0.0
-            for axis, command in enumerate((fx, fy)):
-                self._force[axis] = np.sign(command) * physics.thruster_force if abs(command) > dead else 0.0
-            self._force[2] = _limit_torque(scenario.wheel, torque, self._v[2])
-            self.wheel_momentum -= self._force[2] * scenario.control_period
+        sizes = {"arm": self._n, "base": 3}
+        checked = {agent: _check_control(agent, control, sizes[agent]) for agent, control in controls.items()}
+        self._force[:-3] = compute_forces(self.scenario, self.physics, self._v[:-3], checked)
+        if self.scenario.wheel:
+            self.wheel_momentum -= self._force[2] * self.scenario.control_period
 
     def _advance(self, period: float) -> None:
         """Move everything through one control period, event by event."""
@@ -273,14 +268,6 @@ def _check_control(agent: str, control: np.ndarray, size: int) -> np.ndarray:
         text = np.array2string(values, threshold=8).replace("\n", "")
         raise InputError(f"control of {agent} = {text}: {size} finite numbers are needed")
     return values
-
-
-def _limit_torque(motor: Motor | None, torque: float, speed: float) -> float:
-    """Return what a motor gives of a torque at a speed; nothing without a motor."""
-    if motor is None:
-        return 0.0
-    drop = motor.stall_torque * speed / motor.no_load_speed
-    return min(max(torque, -motor.stall_torque - drop), motor.stall_torque - drop)
 
 
 def _pair(vector: Sequence[float] | np.ndarray) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from impact_envs.errors import InputError, choices
 from impact_envs.floating_manipulator.contact import compute_contact
 from impact_envs.physics.multibody import Chain, compute_directions, compute_point, make_chain
 from impact_envs.scenario import (
@@ -26,6 +27,7 @@ from impact_envs.scenario import (
     Vector,
     draw,
 )
+from impact_envs.stl import SIGNALS, Formula, parse
 
 Restitution = Annotated[float, Field(ge=0, le=1)]
 PARTS = ("tip", "box", "target", "base")
@@ -179,6 +181,7 @@ class FloatingManipulatorScenario(Scenario):
     thrusters: Thrusters | None = None
     wheel: Motor | None = None  # turns the base against an external torque, as in the paper
     safety_pause: NonNegative = 0.0  # the arm is not driven to its goal for so long after an impact [s]
+    requirements: dict[str, str] = {}  # further formulas, by name, that an episode is judged by
     believed: Believed
     true: Truth = Truth()
 
@@ -191,6 +194,41 @@ class FloatingManipulatorScenario(Scenario):
     def bodies(self) -> tuple[str, ...]:
         """Return base, links, tip, box, and the goal as ``target``: the canonical order of all arrays."""
         return ("base", *self.links, "tip", "box", "target")
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Return what a formula may say of a body; not every body has every signal (see ``extra_signals``)."""
+        return (*SIGNALS, *dict.fromkeys(name.partition(".")[2] for name in self.extra_signals))
+
+    @cached_property
+    def extra_signals(self) -> tuple[str, ...]:
+        """Return the signals beside position and velocity of every body (see the task)."""
+        return (
+            *(f"{link}.{name}" for link in self.links for name in ("joint_velocity", "torque")),
+            *(f"{body}.{name}" for body in ("base", "box") for name in ("momentum_x", "momentum_y")),
+            *("base.angular_momentum", "box.angular_momentum", "tip.impulse", "tip.since_impact"),
+        )
+
+    @cached_property
+    def required(self) -> dict[str, Formula]:
+        """Return the parsed requirements."""
+        return {name: parse(text) for name, text in self.requirements.items()}
+
+    @property
+    def largest_commands(self) -> dict[str, np.ndarray]:
+        """Return what an action of 1 commands.
+
+        Three times the stall torques: what motors give while they brake at twice their no-load speed.
+
+        Returns:
+            ``arm`` to joint torques, shape (n,) [N m]; where it can be driven, ``base`` to forces along the world's
+            axes and torque, shape (3,) [N], [N m].
+        """
+        arm = np.array([3.0 * link.stall_torque for link in self.links.values()])
+        force = self.thrusters.force if self.thrusters else 1.0
+        torque = 3.0 * self.wheel.stall_torque if self.wheel else 1.0
+        limits = {"arm": arm, "base": np.array([force, force, torque])}
+        return {agent: limits[agent] for agent in self.agents}
 
     @cached_property
     def start(self) -> np.ndarray:
@@ -207,6 +245,16 @@ class FloatingManipulatorScenario(Scenario):
         links = [(link.mass, link.inertia, link.length, link.center_of_mass) for link in self.links.values()]
         base = (self.base.mass * base_scale, self.base.inertia * base_scale)
         return make_chain(base, self.base.mount, links, (self.load.mass * load_scale, self.load.inertia * load_scale))
+
+    def shorten(self, scale: float) -> Self:
+        """Return the scenario with horizon and every time in formula and requirements scaled (see Scenario).
+
+        Args:
+            scale: factor in (0, 1] for tighter tasks.
+        """
+        bare = Scenario.shorten(self.override({"requirements": {}}), scale)
+        factor = bare.horizon / self.horizon
+        return bare.override({"requirements": {name: str(f.scale_time(factor)) for name, f in self.required.items()}})
 
     def as_believed(self) -> Self:
         """Return the scenario as the expert sees it: the true world is the believed one."""
@@ -270,12 +318,34 @@ class FloatingManipulatorScenario(Scenario):
                 raise ValueError(f"links: '{name}' names another part; those are {', '.join(PARTS)}")
         if self.arm.joints is not None and len(self.arm.joints) != len(self.links):
             raise ValueError(f"arm.joints has {len(self.arm.joints)} angles for {len(self.links)} links")
+        self._check_formulas()
         gap, room = self._start_gap(), self._box_room()
         if gap <= 0:
             raise ValueError(f"arm: the tip starts inside the box, by {-gap:.3g} m")
         if gap <= room:
             raise ValueError(f"true: offsets of the box reach {room:.3g} m, the tip starts {gap:.3g} m from it")
         return self
+
+    def _check_formulas(self) -> None:
+        """Raise unless all formulas speak of signals there are, and of times up to the horizon."""
+        known = [f"{body}.{name}" for body in self.bodies for name in SIGNALS] + list(self.extra_signals)
+        try:
+            formulas = {"formula": self.specification}
+            for name in self.requirements:
+                formulas[f"requirements.{name}"] = self.required[name]
+        except InputError as error:
+            raise ValueError(f"requirements: {error}") from None
+        for key, formula in formulas.items():
+            try:
+                formula.check_names(self.bodies, tuple(self.areas), self.signals)
+                formula.reach(self.control_period)
+            except InputError as error:
+                raise ValueError(f"{key}: {error}") from None
+            for signal in formula.expand(self.bodies).signals():
+                if signal not in known:
+                    raise ValueError(f"{key}: signal '{signal}' is unknown; {choices(signal, known)}")
+            if formula.horizon > self.horizon * (1 + 1e-9):
+                raise ValueError(f"{key}: looks {formula.horizon:g} s ahead, the horizon is {self.horizon:g} s")
 
     def _start_gap(self) -> float:
         """Return the distance between tip and box at the start, negative in overlap [m]."""

@@ -128,6 +128,10 @@ class FreeFlyerTask:
         ]
         return (*areas, *objects, *robots)
 
+    def chains(self, states: np.ndarray) -> dict[str, np.ndarray]:
+        """Return nothing: a free-flyer is held by nobody."""
+        return {}
+
 
 def _unbounded(size: int) -> Box:
     return Box(-np.inf, np.inf, (size,), np.float64)

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from impact_envs.floating_manipulator.observation import Measurement
+from impact_envs.floating_manipulator.observation import Measurement, read_observations
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from impact_envs.physics.multibody import compute_directions, compute_momenta
 from impact_envs.rollout import Diagnostics
@@ -18,6 +18,30 @@ Phase = Literal["before", "pause", "after"]
 EFFORT_BEFORE, EFFORT_AFTER = 1.0, 0.1  # R = r 1 before the first impact and after its pause: Nekoo et al., Sec. 4.1
 DAMPING = 0.75  # derivative over proportional gains: Nekoo et al., Sec. 4.4
 THRUSTER_GAIN, WHEEL_GAIN, JOINT_GAIN = 50.0, 200.0, 150.0  # [N/m], [N m/rad], [N m/rad]: Nekoo et al., Sec. 4.4
+
+
+def make_floating_manipulator_expert(
+    scenario: FloatingManipulatorScenario, variant: str | None = None
+) -> FloatingManipulatorExpert:
+    """Make the expert, or a form of it to compare with.
+
+    Args:
+        scenario: its true physics are not looked at.
+        variant: ``printed``, with the coefficients that the paper prints; ``measured_base``, which takes the base's
+            rates from measurements and not from the momentum; the expert without.
+
+    Returns:
+        A Policy named after the variant.
+    """
+    if variant is None:
+        return FloatingManipulatorExpert(scenario)
+    expert = (
+        FloatingManipulatorExpert(scenario, sdc="printed")
+        if variant == "printed"
+        else FloatingManipulatorExpert(scenario, base_rates="measured")
+    )
+    expert.name = variant
+    return expert
 
 
 class FloatingManipulatorExpert:
@@ -52,7 +76,7 @@ class FloatingManipulatorExpert:
         self._chain = self._scenario.chain()
         self._regulator = OutputRegulator(self._chain, scenario.arm.goal, sdc)
         self._measured = base_rates == "measured"
-        self._n = len(scenario.links)
+        self._n, self._limits = len(scenario.links), scenario.largest_commands
         self.reset(0)
         start = self._scenario.start
         self.control(Measurement(0.0, start, np.zeros(len(start)), False))  # compiles
@@ -74,6 +98,15 @@ class FloatingManipulatorExpert:
     def diagnostics(self) -> Diagnostics:
         """Return computing times and fallbacks since reset."""
         return self._diagnostics
+
+    def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return each agent's action in [-1, 1].
+
+        Args:
+            observations: each agent's observation.
+        """
+        controls = self.control(read_observations(self._scenario, observations))
+        return {agent: np.clip(control / self._limits[agent], -1.0, 1.0) for agent, control in controls.items()}
 
     def control(self, measurement: Measurement) -> dict[str, np.ndarray]:
         """Return the controls of one step.

@@ -227,12 +227,17 @@ def test_unknown_suite_and_scenario_are_named(short: Scenario) -> None:
         ResidualEnv("throw_and_cathc")
 
 
+CORRECTABLE = {"free_flyer"}  # domains whose experts take corrections
 LONG_TO_PLAN = {"obstacle_avoidance", "pingpong"}
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=[pytest.mark.slow] if n in LONG_TO_PLAN else []) for n in list_scenarios()],
+    [
+        pytest.param(n, marks=[pytest.mark.slow] if n in LONG_TO_PLAN else [])
+        for n in list_scenarios()
+        if load_scenario(n).domain in CORRECTABLE
+    ],
 )
 def test_every_scenario_has_a_residual_twin_that_starts_at_its_expert(name: str) -> None:
     env = gymnasium.make(gym_id(name, residual=True)).unwrapped
@@ -246,3 +251,9 @@ def test_every_scenario_has_a_residual_twin_that_starts_at_its_expert(name: str)
     assert truncated
     assert decisions >= 2
     assert info["success"]
+
+
+@pytest.mark.parametrize("name", [n for n in list_scenarios() if load_scenario(n).domain not in CORRECTABLE])
+def test_an_expert_that_takes_no_corrections_is_refused_in_one_line(name: str) -> None:
+    with pytest.raises(InputError, match=f"scenario '{name}': the expert of domain .* takes no corrections"):
+        gymnasium.make(gym_id(name, residual=True))

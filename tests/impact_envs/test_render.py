@@ -254,3 +254,15 @@ def test_importing_loads_no_pygame_and_drawing_prints_nothing():
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout == ""
+
+
+def test_a_chain_is_drawn_from_joint_to_joint_in_its_bodys_color():
+    def place(x, y):
+        return np.rint(_center(_draw([PUCK], poses={"pop": (x, y, 0.0)}), ORANGE)).astype(int)
+
+    chain = np.array([(2.0, 4.0), (2.0, 8.0), (1.0, 8.0)])
+    linked = _draw([ROBOT], poses={"snap": (1.0, 8.0, 0.0)}, chains={"snap": chain})
+    link = drawing.mix(drawing.ROBOT_COLORS[0], 0.55)
+    for x, y, color in ((2.0, 4.0, drawing.PAPER), (2.0, 8.0, drawing.PAPER), (2.0, 6.0, link), (1.5, 8.0, link)):
+        column, row = place(x, y)
+        assert linked[row, column] == pytest.approx(color, abs=3)

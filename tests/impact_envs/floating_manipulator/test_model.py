@@ -24,7 +24,7 @@ BASE = {"mass": 5.0, "inertia": 2.0833, "mount": [0.905, -0.391]}
 
 def load(name="floating_manipulator", **tables):
     data = tomllib.loads(next(FOLDER.rglob(f"{name}.toml")).read_text())
-    return FloatingManipulatorScenario.model_validate({"name": name, **data, **tables})
+    return FloatingManipulatorScenario.model_validate({"name": name, **data, "requirements": {}, **tables})
 
 
 def make_model(scenario=None, **physics):

@@ -43,7 +43,7 @@ def test_elbow_has_the_sign_asked_for():
 
 
 def test_joints_may_be_given_for_any_number_of_links():
-    data = tables()
+    data = tables() | {"requirements": {}}
     data["links"] = {f"part_{k}": data["links"]["link_1"] for k in range(5)}
     data["arm"] = {"goal": [3.0, 0.0], "joints": [0.1, 0.2, 0.3, 0.4, 0.5]}
     scenario = validate(data)
@@ -63,6 +63,9 @@ def test_joints_may_be_given_for_any_number_of_links():
         ("true", "box_mass_scale", 0.0, "box_mass_scale must be above 0"),
         ("true", "restitution", {"uniform": [0.5, 1.5]}, "restitution reaches 1.5"),
         ("links", "tip", {}, "links"),
+        ("requirements", "mine", "G[0,30] box.torque <= 1", "requirements.mine: signal 'box.torque' is unknown"),
+        ("requirements", "mine", "G[0,31] tip.x <= 1", "requirements.mine: looks 31 s ahead, the horizon is 30 s"),
+        ("requirements", "mine", "G[0,30", "requirements: "),
     ],
 )
 def test_impossible_set_ups_are_refused(table, key, value, words):
@@ -72,6 +75,16 @@ def test_impossible_set_ups_are_refused(table, key, value, words):
         data["links"]["tip"] = data["links"]["link_1"]
     with pytest.raises(ValidationError, match=words):
         validate(data)
+
+
+def test_a_tighter_task_has_tighter_requirements():
+    scenario = validate(tables())
+    tight = scenario.shorten(0.5)
+    assert tight.horizon == 15.0
+    assert {name: f.horizon for name, f in tight.required.items()} == {
+        name: f.horizon / 2 for name, f in scenario.required.items()
+    }
+    assert str(tight.required["hold"]) == "G[12.5,15] distance(tip, target) <= 0.05"
 
 
 def test_true_worlds_follow_the_seed_and_leave_the_belief_alone():

@@ -11,7 +11,6 @@ import pytest
 from impact_envs.errors import FormulaError, InputError
 from impact_envs.scenario import list_scenarios, load_scenario
 from impact_envs.stl import (
-    SIGNALS,
     Always,
     And,
     Distance,
@@ -147,7 +146,7 @@ def check_random_formulas(seed, count):
 def test_shipped_formulas_on_random_walks(name):
     scenario = load_scenario(name)
     lower, upper = np.array(scenario.world.lower), np.array(scenario.world.upper)
-    names = [f"{body}.{signal}" for body in scenario.bodies for signal in SIGNALS]
+    names = [f"{body}.{signal}" for body in scenario.bodies for signal in scenario.signals]
     bounds = {
         f"{body}.{axis}": (low, high)
         for body in scenario.bodies
@@ -157,7 +156,7 @@ def test_shipped_formulas_on_random_walks(name):
         scenario.specification, scenario.control_period, scenario.areas, scenario.bodies, names, bounds, worlds=2
     )
     rng = np.random.default_rng(3)
-    steps = rng.normal(0.0, 0.05, (scenario.steps + 3, 2, len(scenario.bodies), len(SIGNALS)))
+    steps = rng.normal(0.0, 0.05, (scenario.steps + 3, 2, len(scenario.bodies), len(scenario.signals)))
     steps[0, ..., :2] = rng.uniform(lower, upper, (2, len(scenario.bodies), 2))
     walks = np.cumsum(steps, axis=0)
     walks[..., :2] = np.clip(walks[..., :2], lower, upper)

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 import impact_envs
+from impact_envs.errors import InputError
 from impact_envs.floating_manipulator.model import FloatingManipulatorModel
-from impact_envs.floating_manipulator.observation import Measurement
+from impact_envs.floating_manipulator.observation import Measurement, observation_size
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from impact_envs.stl import Trace, parse, satisfied
+from planners import list_variants, make_expert
 from planners.floating_manipulator.expert import FloatingManipulatorExpert
 
 FOLDER = Path(impact_envs.__file__).parent / "floating_manipulator"
@@ -22,7 +24,7 @@ GOAL = np.array([3.0, 0.0])
 
 def load(name, **tables):
     data = tomllib.loads(next(FOLDER.rglob(f"{name}.toml")).read_text())
-    return FloatingManipulatorScenario.model_validate({"name": name, **data, **tables})
+    return FloatingManipulatorScenario.model_validate({"name": name, **data, "requirements": {}, **tables})
 
 
 def run(scenario, physics=None, until=None, expert=None, **options):
@@ -202,3 +204,32 @@ def test_same_episode_again_gives_the_same_motion_bit_for_bit():
     expert = FloatingManipulatorExpert(scenario)
     states = [run(scenario, expert=expert)[0].state().tobytes() for _ in range(2)]
     assert states[0] == states[1]
+
+
+def test_actions_are_the_scaled_controls():
+    scenario = load("floating_manipulator_thrusters")
+    measured = Measurement(2.0, scenario.start + 0.1, np.full(6, 0.05), False)
+    vector = np.zeros(observation_size(scenario))
+    q, v = measured.q, measured.v
+    vector[:4] = q[0], q[1], math.cos(q[2]), math.sin(q[2])
+    vector[4:10], vector[10:13] = [*q[3:], *v[:3]], v[3:]
+    vector[-3] = measured.time / scenario.horizon
+    controls = FloatingManipulatorExpert(scenario).control(measured)
+    actions = FloatingManipulatorExpert(scenario).act({"arm": vector, "base": vector})
+    assert actions.keys() == {"arm", "base"}
+    np.testing.assert_allclose(actions["arm"], np.clip(controls["arm"] / 42.0, -1, 1), atol=1e-12)
+    assert not actions["base"].any()
+    vector[-4] = 1.0  # an impact is felt: the base brakes what it has
+    braking = FloatingManipulatorExpert(scenario).act({"arm": vector, "base": vector})["base"]
+    np.testing.assert_allclose(braking, -0.75 * 0.05 * np.array([1.0, 1.0, 200.0 / 60.0]), atol=1e-12)
+
+
+def test_variants_are_named_and_others_refused():
+    scenario = impact_envs.load_scenario("floating_manipulator")
+    assert [make_expert(scenario, variant=name).name for name in (None, *list_variants(scenario))] == [
+        "expert",
+        "printed",
+        "measured_base",
+    ]
+    with pytest.raises(InputError, match="no variant 'printet'; did you mean 'printed'"):
+        make_expert(scenario, variant="printet")
