@@ -25,6 +25,10 @@ DOMAINS = {
         ("impact_envs.dual_arm.model", "DualArmModel"),
         ("impact_envs.dual_arm.task", "DualArmTask"),
     ),
+    "floating_manipulator": (
+        ("impact_envs.floating_manipulator.model", "FloatingManipulatorModel"),
+        ("impact_envs.floating_manipulator.task", "FloatingManipulatorTask"),
+    ),
     "free_flyer": (
         ("impact_envs.free_flyer.disc_model", "make_model"),
         ("impact_envs.free_flyer.task", "FreeFlyerTask"),
@@ -133,6 +137,7 @@ class ImpactEnv(ParallelEnv):
         self.impulse = 0.0  # propulsion spent since reset
         self._rng: np.random.Generator | None = None
         self._renderer: Any = None
+        self._trailed: list[str] = []  # bodies whose path is drawn
         self._track: list[dict[str, tuple[float, float, float]]] = []  # poses of every step, kept for rendering
         self._marks: list[Impact] = []
 
@@ -167,8 +172,8 @@ class ImpactEnv(ParallelEnv):
         self.model.reset(physics)
         self.steps, self.impacts, self.impulse = 0, [], 0.0
         self.agents = list(self.possible_agents)
-        self.signals = self.task.signals(self.model.state())
         self.task.reset(physics, self.model.state(), self._rng)
+        self.signals = self.task.signals(self.model.state())
         self.monitor.reset()
         self.bounds = self._clip(self.monitor.update(self.signals))
         self._track, self._marks = [], []
@@ -199,8 +204,8 @@ class ImpactEnv(ParallelEnv):
         self.steps += 1
         self.impulse += self.task.impulse(controls)
         states = self.model.state()
-        self.signals = self.task.signals(states)
         self.task.sense(states, self.impacts)
+        self.signals = self.task.signals(states)
         before, self.bounds = self.bounds, self._clip(self.monitor.update(self.signals))
         self._remember()
         over = self.steps >= min(self.max_cycles, self.scenario.steps)
@@ -231,12 +236,14 @@ class ImpactEnv(ParallelEnv):
 
         world = self.scenario.world
         if self._renderer is None:
-            self._renderer = Renderer(world.lower, world.upper, self.task.shapes(), self.render_mode)
+            shapes = self.task.shapes()
+            self._renderer = Renderer(world.lower, world.upper, shapes, self.render_mode)
+            self._trailed = [shape.body for shape in shapes if shape.body is not None and shape.label]
         frame = Frame(
             time=self.time,
             poses=self._track[-1],
             chains=self.task.chains(self.model.state()),
-            trails={body: np.array([step[body][:2] for step in self._track]) for body in self.scenario.bodies},
+            trails={body: np.array([step[body][:2] for step in self._track]) for body in self._trailed},
             plans=self.curves,
             impacts=[(*mark.point, self.time - mark.time) for mark in self._marks],
             robustness=self.bounds,

@@ -24,6 +24,7 @@ from impact_envs.stl import RESERVED, SIGNALS, Formula, parse
 PACKAGE = Path(__file__).parent
 DOMAINS = {
     "dual_arm": ("impact_envs.dual_arm.schema", "DualArmScenario"),
+    "floating_manipulator": ("impact_envs.floating_manipulator.schema", "FloatingManipulatorScenario"),
     "free_flyer": ("impact_envs.free_flyer.schema", "FreeFlyerScenario"),
 }
 

@@ -17,7 +17,7 @@ class Shape:
         role: what it stands for; decides the colour.
         radius: of a disc [m], None for a polygon.
         vertices: of a polygon, in the body's frame (or the world's) [m], None for a disc.
-        label: text drawn beside it, may be empty.
+        label: text drawn beside it; may be empty, and then the body's path is not drawn.
     """
 
     body: str | None

@@ -33,10 +33,14 @@ PLANNERS = {
 }
 EXPERTS = {
     "dual_arm": ("planners.dual_arm.expert", "make_dual_arm_expert"),
+    "floating_manipulator": ("planners.floating_manipulator.expert", "make_floating_manipulator_expert"),
     "free_flyer": ("planners.free_flyer.expert", "FreeFlyerExpert"),
 }
 # Experts' published forms and baselines, by the names they go by as policies.
-VARIANTS = {"dual_arm": ("published", "no_impact_map", "no_interim_phase", "no_synchronisation")}
+VARIANTS = {
+    "dual_arm": ("published", "no_impact_map", "no_interim_phase", "no_synchronisation"),
+    "floating_manipulator": ("printed", "measured_base"),
+}
 
 
 def make_plan(scenario: str | Path | Scenario, objective: str = "robustness", **options: Any) -> Plan:

@@ -78,6 +78,8 @@ class Run:
     """Execute this plan instead of planning: a JSON file, or a folder of published CSV files."""
     render: str | None = None
     """human, or a file ending in .mp4, .gif or .png (the last frame)."""
+    plot: Path | None = None
+    """Draw a floating manipulator's whole episode: a file ending in .png, .pdf or .svg."""
     json: bool = False
 
     def run(self) -> dict[str, Any]:
@@ -93,6 +95,7 @@ class Run:
         if self.seed < 0:
             raise InputError(f"seed {self.seed} is negative; choices: 0, 1, 2, ...")
         film = _open_film(self.render)
+        watcher = _make_record(scenario, self.plot)
         policy = make_policy(self.policy, scenario, plan=load_plan(self.plan, scenario))
         env = parallel_env(scenario, render_mode="rgb_array" if film else self.render)
         env.curves |= _plan_curves(policy)
@@ -100,6 +103,8 @@ class Run:
         every = scenario.steps if film and film.suffix == ".png" else max(1, round(spacing / scenario.control_period))
 
         def record(shown: Any) -> None:
+            if watcher:
+                watcher.add(shown)
             if film and (shown.steps % every == 0 or not shown.agents):
                 film.add(shown.render())
 
@@ -107,7 +112,12 @@ class Run:
         env.close()
         if film:
             film.close()
-        return _episode_summary(episode, self.suite) | compute_figures(episode, scenario)
+        if self.plot:
+            from train.manipulator_picture import save_manipulator_picture
+
+            save_manipulator_picture(watcher, episode, self.plot)
+        figures = watcher.figures(episode) if watcher else compute_figures(episode, scenario)
+        return _episode_summary(episode, self.suite) | figures
 
 
 @dataclass
@@ -338,6 +348,24 @@ def _open_film(render: str | None) -> Any:
     if Path(render).suffix.lower() not in SUFFIXES:
         raise InputError(f"--render {render}: choices: human, a file ending in {', '.join(SUFFIXES)}")
     return Film(render, fps=30)
+
+
+def _make_record(scenario: Any, plot: Path | None) -> Any:
+    """Return what watches a floating manipulator's episode, None in another domain."""
+    if plot:
+        from train.plan_picture import check_picture_path
+
+        check_picture_path(plot)
+    if scenario.domain != "floating_manipulator":
+        if plot:
+            raise InputError(
+                f"--plot {plot}: scenario {scenario.name} is of domain {scenario.domain}; "
+                "choices: scenarios of domain floating_manipulator, or impact plan --plot"
+            )
+        return None
+    from train.manipulator_record import ManipulatorRecord
+
+    return ManipulatorRecord(scenario)
 
 
 def _plan_curves(policy: Any) -> dict[str, Any]:

@@ -106,7 +106,7 @@
       trace(pen, view, points); pen.stroke();
     }
     pen.setLineDash([]);
-    for (const body of replay.bodies) {
+    for (const body of replay.bodies.filter((name) => replay.shapes.some((s) => s.body === name && s.label))) {
       const track = replay.tracks[body], [k] = locate(replay.times, t), now = pose(replay, body, t), points = [];
       for (let n = 0; n <= k; n++) points.push([track.x[n], track.y[n]]);
       points.push([now.x, now.y]);

@@ -1,0 +1,1 @@
+"""A floating manipulator that hits a floating box (Nekoo, Sharf & Ollero)."""

@@ -1,0 +1,186 @@
+"""Flight from event to event, compiled: when the tip meets the box, and when it stops pushing it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from impact_envs.floating_manipulator.flow import (
+    Scratch,
+    System,
+    compute_acceleration,
+    compute_response,
+    find_contact,
+    take_step,
+)
+from impact_envs.physics.multibody import compute_mass_matrix, factorise
+
+# Longest step of integration, shortest one while pushing, and what is left over by rounding [s].
+STEP, SHORTEST, ROUNDING = 0.0025, 1e-5, 1e-12
+# Overlap that is rounding, and a gap that counts as touching [m].
+TOUCHING = 1e-12
+BISECTIONS = 60
+# While pushing, the tip slides no farther in a step than this share of its radius, so that corners are seen.
+STRIDE = 0.1
+FLOWN, HIT, RELEASED = 0, 1, 2
+
+
+@njit(cache=True)
+def look_ahead(
+    system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, h: float, scratch: Scratch
+) -> tuple[float, float]:
+    """Return the gap and its rate a time h ahead in free flight; the state there is left in scratch."""
+    take_step(system, force, q, v, h, False, scratch)
+    contact = find_contact(system, scratch.q_next, scratch.v_next, scratch)
+    return contact.gap, contact.rate
+
+
+@njit(cache=True)
+def find_turn(
+    system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, h: float, sign: float, scratch: Scratch
+) -> float:
+    """Return the last time found at which the gap's rate still has a sign that it has lost at h (bisection)."""
+    low, high = 0.0, h
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2.0
+        _, rate = look_ahead(system, force, q, v, middle, scratch)
+        if sign * rate > 0.0:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True)
+def find_hit(
+    system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, h: float, scratch: Scratch
+) -> tuple[bool, float]:
+    """Return whether the tip meets the box within a step of free flight, and when.
+
+    A step that starts in touch meets the box at once if the gap closes; if it opens and closes again, the meeting is
+    sought after the gap's greatest opening.
+
+    Args:
+        system: true physics.
+        force: generalised forces, shape (m,).
+        q, v: state at the start of the step, shape (m,).
+        h: length of the step [s].
+        scratch: holds the state h ahead if there is no hit.
+
+    Returns:
+        Whether, and the time from the start; the gap there is not negative.
+    """
+    start = find_contact(system, q, v, scratch)
+    gap, rate = look_ahead(system, force, q, v, h, scratch)
+    low, high = 0.0, h
+    if gap >= -TOUCHING:
+        if not (start.rate < 0.0 < rate and start.gap + start.rate * h < 0.0):
+            return False, h
+        high = find_turn(system, force, q, v, h, -1.0, scratch)
+        gap, _ = look_ahead(system, force, q, v, high, scratch)
+        if gap >= -TOUCHING:
+            look_ahead(system, force, q, v, h, scratch)
+            return False, h
+    if start.gap <= TOUCHING:
+        if start.rate <= 0.0:
+            return True, 0.0
+        low = find_turn(system, force, q, v, high, 1.0, scratch)
+        gap, _ = look_ahead(system, force, q, v, low, scratch)
+        if gap < 0.0:
+            return True, low
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2.0
+        gap, _ = look_ahead(system, force, q, v, middle, scratch)
+        if gap >= 0.0:
+            low = middle
+        else:
+            high = middle
+    return True, low
+
+
+@njit(cache=True)
+def find_release(
+    system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, h: float, scratch: Scratch
+) -> tuple[bool, float]:
+    """Return whether the tip stops pushing within a step, and when (bisection on the normal force).
+
+    Args:
+        system: true physics.
+        force: generalised forces, shape (m,).
+        q, v: state at the start of the step, shape (m,).
+        h: length of the step [s].
+        scratch: holds the state h ahead if it is not released.
+
+    Returns:
+        Whether, and the time from the start.
+    """
+    low, high, end = 0.0, 0.0, h
+    for _ in range(BISECTIONS):
+        take_step(system, force, q, v, end, True, scratch)
+        if compute_acceleration(system, force, scratch.q_next, scratch.v_next, True, scratch.a[0], scratch) >= 0.0:
+            low = end
+        else:
+            high = end
+        if high == 0.0:
+            return False, h
+        end = (low + high) / 2.0
+    return True, low
+
+
+@njit(cache=True)
+def close_gap(system: System, q: np.ndarray, v: np.ndarray, scratch: Scratch) -> None:
+    """Take back, by equal and opposite impulses, what rounding opened or closed of a gap that is held."""
+    contact = find_contact(system, q, v, scratch)
+    compute_mass_matrix(system.chain, scratch.w, scratch.M)
+    factorise(scratch.M)
+    inverse_mass = compute_response(system, contact, scratch)
+    for i in range(len(q)):
+        q[i] -= scratch.response[i] * contact.gap / inverse_mass
+        v[i] -= scratch.response[i] * contact.rate / inverse_mass
+
+
+@njit(cache=True)
+def advance(
+    system: System,
+    force: np.ndarray,
+    q: np.ndarray,
+    v: np.ndarray,
+    duration: float,
+    touching: bool,
+    scratch: Scratch,
+) -> tuple[int, float]:
+    """Move (q, v) on in place until the duration is over or something happens.
+
+    Args:
+        system: true physics.
+        force: generalised forces, held, shape (m,) [N], [N m].
+        q, v: state, shape (m,).
+        duration: [s].
+        touching: the tip pushes the box.
+        scratch: working arrays.
+
+    Returns:
+        FLOWN, HIT (the tip meets the box) or RELEASED (it stops pushing), and the time it took [s].
+    """
+    t = 0.0
+    while duration - t > ROUNDING:
+        left = duration - t
+        h = left / max(math.ceil(left / STEP - 1e-9), 1)
+        if touching:
+            slip = abs(find_contact(system, q, v, scratch).slip)
+            h = min(h, max(STRIDE * system.radius / max(slip, ROUNDING), SHORTEST))
+            happened, when = find_release(system, force, q, v, h, scratch)
+        else:
+            happened, when = find_hit(system, force, q, v, h, scratch)
+        if happened:
+            take_step(system, force, q, v, when, touching, scratch)
+        q[:] = scratch.q_next
+        v[:] = scratch.v_next
+        t += when
+        if touching:
+            close_gap(system, q, v, scratch)
+        if happened:
+            return RELEASED if touching else HIT, t
+    return FLOWN, duration

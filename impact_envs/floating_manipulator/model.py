@@ -1,0 +1,274 @@
+"""A floating manipulator and a free box: flight by Runge-Kutta 4, exact impacts of the tip, pushing without overlap.
+
+Flight is compiled (``flow``, ``events``); impacts obey ``physics.impact``. Motors, wheel and thrusters turn commands
+into torques and forces once per control period, from the speeds at its start, and hold them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_envs.errors import InputError, choices
+from impact_envs.floating_manipulator.actuation import compute_forces
+from impact_envs.floating_manipulator.events import FLOWN, HIT, advance
+from impact_envs.floating_manipulator.flow import (
+    System,
+    compute_opening,
+    compute_rows,
+    find_contact,
+    make_scratch,
+)
+from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
+from impact_envs.physics.impact import (
+    Impact,
+    Side,
+    apply_impulse,
+    compute_impulse,
+    compute_planar_jacobian,
+    compute_restitution,
+)
+from impact_envs.physics.multibody import (
+    compute_directions,
+    compute_jacobian,
+    compute_kinetic_energy,
+    compute_mass_matrix,
+    compute_momenta,
+)
+
+# An impact is the start of pushing when it is slower than this [m/s], or when the tip is pressed on so hard that even
+# the full rebound would end within this time [s]: without such a rule, bounces crowd without end.
+LOW_SPEED, CONTACT_TIME = 1e-6, 0.005
+EVENTS = 1000  # in one control period; more means the rule above has failed
+
+
+@dataclass(frozen=True, eq=False)
+class Collision:
+    """One impact with all velocities.
+
+    Attributes:
+        impact: of tip and box.
+        q: coordinates of the manipulator, shape (n + 3,) [m], [rad].
+        v_minus, v_plus: their rates before and after, shape (n + 3,) [m/s], [rad/s].
+        box: x, y, heading of the box, shape (3,) [m], [rad].
+        box_minus, box_plus: velocity of the box before and after, shape (3,) [m/s], [rad/s].
+    """
+
+    impact: Impact
+    q: np.ndarray
+    v_minus: np.ndarray
+    v_plus: np.ndarray
+    box: np.ndarray
+    box_minus: np.ndarray
+    box_plus: np.ndarray
+
+
+class FloatingManipulatorModel:
+    """Physics of the floating-manipulator domain.
+
+    Only tip and box touch; links and base pass through the box. The reaction wheel acts as an external torque on the
+    base (as in the paper); what it takes up is booked in ``wheel_momentum``.
+
+    Everything that outlives a control period is plain numbers: a pickled model goes on bit for bit.
+
+    Args:
+        scenario: who is where.
+
+    Attributes:
+        physics: of the present episode.
+        collisions: of the last control period.
+        torques: of the joints, held over the last control period, shape (n,) [N m].
+        base_forces: Fx, Fy and torque on the base, held over the last control period, shape (3,) [N], [N m].
+        wheel_momentum: angular momentum the wheel has taken up [N m s].
+    """
+
+    def __init__(self, scenario: FloatingManipulatorScenario) -> None:
+        self.scenario = scenario
+        self._n = len(scenario.links)
+        self._scratch = make_scratch(self._n)
+        self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
+
+    def reset(self, physics: Physics) -> None:
+        """Put manipulator and box at rest at their start, in a world with these physics.
+
+        Args:
+            physics: the drawn numbers of one episode.
+        """
+        scenario, n = self.scenario, self._n
+        self.physics = physics
+        length, width = scenario.box.size
+        self._system = System(
+            physics.chain, physics.box_mass, physics.box_inertia, length / 2, width / 2, scenario.load.radius
+        )
+        self._q, self._v = np.concatenate([scenario.start, physics.box_start]), np.zeros(n + 6)
+        self._force = np.zeros(n + 6)
+        self._touching = False
+        self._steps = 0
+        self.collisions: list[Collision] = []
+        self.wheel_momentum = 0.0
+
+    @property
+    def time(self) -> float:
+        """Return the time since reset [s]."""
+        return self._steps * self.scenario.control_period
+
+    @property
+    def torques(self) -> np.ndarray:
+        """Return the torques of the joints held over the last control period, shape (n,) [N m]."""
+        return self._force[3 : 3 + self._n].copy()
+
+    @property
+    def base_forces(self) -> np.ndarray:
+        """Return force and torque on the base held over the last control period, shape (3,) [N], [N m]."""
+        return self._force[:3].copy()
+
+    @property
+    def gap(self) -> float:
+        """Return the distance between tip and box [m]."""
+        return float(find_contact(self._system, self._q, self._v, self._scratch).gap)
+
+    @property
+    def pushing(self) -> bool:
+        """Return whether the tip pushes the box."""
+        return self._touching
+
+    def coordinates(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the manipulator's coordinates (base x, y, psi, joints) and rates, shape (n + 3,) each."""
+        return self._q[:-3].copy(), self._v[:-3].copy()
+
+    def state(self) -> np.ndarray:
+        """Return the state of all bodies.
+
+        Returns:
+            Rows x, y, vx, vy, heading, omega of base and links (centres of mass), tip, box and target,
+            shape (n + 4, 6) [m], [m/s], [rad], [rad/s]. Headings are not wrapped.
+        """
+        rows = np.zeros((self._n + 4, 6))
+        compute_rows(self._system, self._q, self._v, self._scratch, rows[:-1])
+        rows[-1, :2] = self.scenario.arm.goal
+        return rows
+
+    def set_state(self, states: np.ndarray) -> None:
+        """Move manipulator and box to a state; time goes on.
+
+        Args:
+            states: as ``state`` returns them, shape (n + 4, 6); of links only heading and omega count, tip and target
+                follow.
+        """
+        n = self._n
+        rows = np.asarray(states, dtype=float)
+        self._q[:3], self._v[:3] = rows[0, [0, 1, 4]], rows[0, [2, 3, 5]]
+        self._q[3 : 3 + n], self._v[3 : 3 + n] = np.diff(rows[: n + 1, 4]), np.diff(rows[: n + 1, 5])
+        self._q[n + 3 :], self._v[n + 3 :] = rows[n + 2, [0, 1, 4]], rows[n + 2, [2, 3, 5]]
+        self._touching = False
+
+    def step(self, controls: Mapping[str, np.ndarray]) -> list[Impact]:
+        """Advance one control period under held controls.
+
+        Args:
+            controls: ``arm`` to commanded joint torques, shape (n,) [N m]; where thrusters or a wheel exist, ``base``
+                to commanded forces along the world's axes and torque of the wheel, shape (3,) [N], [N m].
+
+        Returns:
+            The impacts, in order of time; touches that start a push are none.
+
+        Raises:
+            InputError: an agent without control, an unknown one, or a control of wrong shape or not finite.
+        """
+        agents = self.scenario.agents
+        if controls.keys() != set(agents):
+            wrong = ", ".join(sorted(controls.keys() ^ set(agents)))
+            raise InputError(f"controls must name every agent once, not so: {wrong}; {choices(wrong, agents)}")
+        self._actuate(controls)
+        self._advance(self.scenario.control_period)
+        self._steps += 1
+        return [collision.impact for collision in self.collisions]
+
+    def momenta(self) -> np.ndarray:
+        """Return P_x, P_y and L about the world's origin of manipulator and box, shape (2, 3) [N s], [N m s]."""
+        q, v = self._q, self._v
+        w, rates = self._scratch.w, self._scratch.rates
+        compute_directions(self.physics.chain, q, v, w, rates)
+        m = self.physics.box_mass
+        (x, y, _), (vx, vy, omega) = q[-3:], v[-3:]
+        box = (m * vx, m * vy, self.physics.box_inertia * omega + m * (x * vy - y * vx))
+        return np.array([compute_momenta(self.physics.chain, q[:-3], v[:-3], w, rates), box])
+
+    def energies(self) -> np.ndarray:
+        """Return the kinetic energies of manipulator and box, shape (2,) [J]."""
+        w, rates = self._scratch.w, self._scratch.rates
+        compute_directions(self.physics.chain, self._q, self._v, w, rates)
+        vx, vy, omega = self._v[-3:]
+        box = (self.physics.box_mass * (vx**2 + vy**2) + self.physics.box_inertia * omega**2) / 2
+        return np.array([compute_kinetic_energy(self.physics.chain, self._v[:-3], w, rates), box])
+
+    def _actuate(self, controls: Mapping[str, np.ndarray]) -> None:
+        """Turn commands into the forces held over the coming control period."""
+        sizes = {"arm": self._n, "base": 3}
+        checked = {agent: _check_control(agent, control, sizes[agent]) for agent, control in controls.items()}
+        self._force[:-3] = compute_forces(self.scenario, self.physics, self._v[:-3], checked)
+        if self.scenario.wheel:
+            self.wheel_momentum -= self._force[2] * self.scenario.control_period
+
+    def _advance(self, period: float) -> None:
+        """Move everything through one control period, event by event."""
+        self.collisions = []
+        t = 0.0
+        for _ in range(EVENTS):
+            event, taken = advance(
+                self._system, self._force, self._q, self._v, period - t, self._touching, self._scratch
+            )
+            t += taken
+            if event == FLOWN:
+                return
+            self._touching = False
+            if event == HIT:
+                self._collide(self.time + t)
+        raise RuntimeError(f"more than {EVENTS} events in the control period at {self.time:g} s")
+
+    def _collide(self, time: float) -> None:
+        """Change velocities by an impact, or start to push."""
+        contact = find_contact(self._system, self._q, self._v, self._scratch)
+        press = -compute_opening(self._system, self._force, self._q, self._v, self._scratch)
+        speed = -contact.rate
+        rebounds = speed > max(LOW_SPEED, press * CONTACT_TIME / 2)
+        physics = self.physics
+        e = compute_restitution(speed, physics.restitution, physics.restitution_speed) if rebounds else 0.0
+        normal = np.array([-contact.nx, -contact.ny])
+        tip, box = self._sides(np.array([contact.rx, contact.ry]))
+        impulse = compute_impulse(normal, tip, box, e) * normal
+        self._v[:-3], self._v[-3:] = apply_impulse(tip, -impulse), apply_impulse(box, impulse)
+        self._touching = not rebounds and press > 0.0
+        if rebounds:
+            point = self._q[-3] + contact.rx, self._q[-2] + contact.ry
+            impact = Impact(time, "tip", "box", _pair(point), _pair(normal), _pair(impulse), float(speed))
+            q, v = self._q.copy(), self._v.copy()
+            self.collisions.append(
+                Collision(impact, q[:-3], tip.velocity, v[:-3], q[-3:], box.velocity, v[-3:]),
+            )
+
+    def _sides(self, arm: np.ndarray) -> tuple[Side, Side]:
+        """Return manipulator and box as the impact law sees them."""
+        n, chain = self._n, self.physics.chain
+        w, rates = self._scratch.w, self._scratch.rates
+        compute_directions(chain, self._q, self._v, w, rates)
+        M, J = np.zeros((n + 3, n + 3)), np.zeros((2, n + 3))
+        compute_mass_matrix(chain, w, M)
+        compute_jacobian(w, chain.levers[-1], J)
+        masses = np.diag([self.physics.box_mass, self.physics.box_mass, self.physics.box_inertia])
+        return Side(J, M, self._v[:-3].copy()), Side(compute_planar_jacobian(arm), masses, self._v[-3:].copy())
+
+
+def _check_control(agent: str, control: np.ndarray, size: int) -> np.ndarray:
+    """Return a control as an array, or say what is wrong with it."""
+    values = np.asarray(control, dtype=float)
+    if values.shape != (size,) or not np.isfinite(values).all():
+        text = np.array2string(values, threshold=8).replace("\n", "")
+        raise InputError(f"control of {agent} = {text}: {size} finite numbers are needed")
+    return values
+
+
+def _pair(vector: Sequence[float] | np.ndarray) -> tuple[float, float]:
+    return float(vector[0]), float(vector[1])

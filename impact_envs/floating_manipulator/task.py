@@ -1,0 +1,205 @@
+"""What is asked of a floating manipulator: actions, observations, signals of the formula, effort."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from impact_envs.floating_manipulator.actuation import compute_forces
+from impact_envs.floating_manipulator.observation import observation_size, select_felt, write_observation
+from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
+from impact_envs.physics.impact import Impact
+from impact_envs.physics.multibody import compute_directions, compute_momenta
+from impact_envs.shape import Shape
+from impact_envs.stl import SIGNALS, Distance
+
+LINK_WIDTH = 0.16  # of the arm as drawn [m]
+
+
+class FloatingManipulatorTask:
+    """Intent of a floating-manipulator scenario.
+
+    Observation, float64, SI units, as measured, the same vector for both agents: base ``x, y, cos(psi), sin(psi)``
+    [m, -]; joint angles ``q_1 ... q_n`` [rad]; base ``vx, vy, dpsi/dt`` [m/s, rad/s]; joint rates [rad/s]; tip
+    relative to its goal ``x, y`` [m] and its velocity ``vx, vy`` [m/s]; box ``x, y, vx, vy, cos(heading),
+    sin(heading), omega`` [m, m/s, -, rad/s]; ``contact`` (1 if the arm felt an impact in the last step),
+    ``time / horizon``, ``robustness_lower``, ``robustness_upper`` (the interval of STL robustness still possible,
+    clipped to the world's diagonal).
+
+    Action of ``arm``: joint torques in [-1, 1] of three times their stall torques, before the motors' limits. Action of
+    ``base``: ``[Fx, Fy, torque]`` along the world's axes; the on/off thrusters fire where the command exceeds their
+    dead zone, the wheel's torque is in [-1, 1] of three times its stall torque. What the base lacks, it ignores.
+
+    Signals of the formula, beside position and velocity of every body: ``link.joint_velocity`` [rad/s] and
+    ``link.torque`` [N m] of the joint that carries the link, held in the last control period;
+    ``base.momentum_x, base.momentum_y`` [N s] and ``base.angular_momentum`` [N m s] about the world's origin, of base,
+    arm and load together; the same of ``box``; ``tip.impulse``, the sum of impulses on the box in the last control
+    period [N s]; ``tip.since_impact``, the time since the last impact felt, before the first one the horizon [s].
+    """
+
+    def __init__(self, scenario: FloatingManipulatorScenario) -> None:
+        self.scenario = scenario
+        self._n = len(scenario.links)
+        self._limits = scenario.largest_commands
+        self._names = [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS] + list(scenario.extra_signals)
+        self._w, self._rates = np.zeros((self._n + 1, 2)), np.zeros(self._n + 1)
+        self.action_spaces = {agent: Box(-1.0, 1.0, limit.shape, np.float32) for agent, limit in self._limits.items()}
+        self.joint_observation_space = _unbounded(observation_size(scenario))
+        self.observation_spaces = dict.fromkeys(scenario.agents, self.joint_observation_space)
+        self.state_space = _unbounded(6 * len(scenario.bodies) + 1)
+
+    def reset(self, physics: Physics, states: np.ndarray, rng: np.random.Generator) -> None:
+        """Start an episode.
+
+        Args:
+            physics: the drawn true world.
+            states: true start states, shape (bodies, 6).
+            rng: the episode's generator.
+        """
+        self._physics = physics
+        self._torques, self._impulse, self._since, self._samples = np.zeros(self._n), 0.0, self.scenario.horizon, 0
+        self._hit: float | None = None
+        self._contact = False
+        self._take(states)
+
+    def controls(self, actions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Scale actions to commanded torques and forces [N m], [N]."""
+        controls = {name: np.clip(action, -1.0, 1.0) * self._limits[name] for name, action in actions.items()}
+        self._torques = compute_forces(self.scenario, self._physics, self._v, controls)[3:]
+        return controls
+
+    def effort(self, action: np.ndarray) -> float:
+        """Return an agent's effort in one control period: mean square of its action, in [0, 1]."""
+        clipped = [min(max(float(u), -1.0), 1.0) for u in action]
+        return sum(u * u for u in clipped) / len(clipped)
+
+    def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
+        """Return the thrusters' propulsion in one control period: sum of |F| dt over the axes [N s]."""
+        thrusters = self.scenario.thrusters
+        if thrusters is None:
+            return 0.0
+        firing = sum(abs(command) > thrusters.dead_zone for command in controls["base"][:2].tolist())
+        return firing * self._physics.thruster_force * self.scenario.control_period
+
+    def sense(self, states: np.ndarray, impacts: Sequence[Impact]) -> None:
+        """Take the sensors' sample of this control step.
+
+        Args:
+            states: true states, shape (bodies, 6).
+            impacts: impacts of the last control period.
+        """
+        felt = select_felt(impacts)
+        self._contact = bool(felt)
+        self._take(states)
+        self._samples += 1
+        self._impulse = sum(math.hypot(*impact.impulse) for impact in impacts)
+        if felt:
+            self._hit = felt[-1].time
+        if self._hit is not None:
+            self._since = self._samples * self.scenario.control_period - self._hit
+
+    def observe(self, time: float, bounds: tuple[float, float]) -> dict[str, np.ndarray]:
+        """Return each agent's observation.
+
+        Args:
+            time: [s].
+            bounds: interval of robustness still possible, finite.
+        """
+        vector = self.observe_jointly(time, bounds)
+        return {agent: vector.copy() for agent in self.scenario.agents}
+
+    def observe_jointly(self, time: float, bounds: tuple[float, float]) -> np.ndarray:
+        """Return the observation, which is each agent's too."""
+        vector = np.empty(self.joint_observation_space.shape)
+        write_observation(self._states, self._contact, time / self.scenario.horizon, bounds, vector)
+        return vector
+
+    def signals(self, states: np.ndarray) -> dict[str, float]:
+        """Return the named signals a formula speaks of, for example ``tip.x``.
+
+        Args:
+            states: true states, those last sensed, shape (bodies, 6).
+        """
+        n, physics = self._n, self._physics
+        joints = [value for pair in zip(self._v[3:].tolist(), self._torques.tolist(), strict=True) for value in pair]
+        compute_directions(physics.chain, self._q, self._v, self._w, self._rates)
+        px, py, spin = compute_momenta(physics.chain, self._q, self._v, self._w, self._rates)
+        x, y, vx, vy, _, box_omega = states[n + 2].tolist()
+        qx, qy = physics.box_mass * vx, physics.box_mass * vy
+        moments = [px, py, qx, qy, spin, physics.box_inertia * box_omega + x * qy - y * qx]
+        values = [*states.ravel().tolist(), *joints, *moments, self._impulse, self._since]
+        return dict(zip(self._names, values, strict=True))
+
+    def signal_bounds(self) -> dict[str, tuple[float, float]]:
+        """Return what is known of signals beforehand: the goal stays, times and impulses are not negative."""
+        x, y = self.scenario.arm.goal
+        times = (0.0, self.scenario.horizon)
+        return {
+            "target.x": (x, x),
+            "target.y": (y, y),
+            "tip.since_impact": times,
+            "tip.impulse": (0.0, math.inf),
+        }
+
+    def shapes(self) -> tuple[Shape, ...]:
+        """Return regions, goal, box, base and arm as shapes, in drawing order; links have no label and no trail."""
+        scenario = self.scenario
+        areas = [Shape(None, "region", vertices=a.corners, label=n) for n, a in scenario.regions.items()]
+        box = Shape("box", "object", vertices=_rectangle(*scenario.box.size), label="box")
+        base = Shape("base", "robot", vertices=_rectangle(*scenario.base.size), label="base")
+        links = [
+            Shape(name, "robot", vertices=_bar(link.center_of_mass, link.length))
+            for name, link in scenario.links.items()
+        ]
+        tip = Shape("tip", "robot", vertices=_disc(0.0, 0.0, scenario.load.radius), label="tip")
+        return (*areas, *self._goal(), box, base, *links, tip)
+
+    def chains(self, states: np.ndarray) -> dict[str, np.ndarray]:
+        """Return nothing: the links are shapes."""
+        return {}
+
+    def _goal(self) -> list[Shape]:
+        """Return the goal as discs of the distances that the formula asks of tip and target."""
+        x, y = self.scenario.arm.goal
+        asked = [p for p in self.scenario.specification.walk() if isinstance(p, Distance)]
+        radii = sorted({p.bound for p in asked if set(p.bodies()) == {"tip", "target"}}, reverse=True)
+        labels = ["goal"] + max(len(radii) - 1, 0) * [""]
+        return [
+            Shape(None, "region", vertices=_disc(x, y, radius), label=label)
+            for radius, label in zip(radii, labels, strict=False)
+        ]
+
+    def _take(self, states: np.ndarray) -> None:
+        """Keep the present states, and the coordinates of the manipulator in them."""
+        n = self._n
+        self._states = states
+        self._q, self._v = np.empty(n + 3), np.empty(n + 3)
+        for vector, columns in ((self._q, (0, 1, 4)), (self._v, (2, 3, 5))):
+            for i, column in enumerate(columns):
+                vector[i] = states[0, column]
+            vector[3:] = states[1 : n + 1, columns[2]] - states[:n, columns[2]]
+
+
+def _unbounded(size: int) -> Box:
+    return Box(-np.inf, np.inf, (size,), np.float64)
+
+
+def _rectangle(length: float, width: float) -> tuple[tuple[float, float], ...]:
+    a, b = length / 2, width / 2
+    return ((-a, -b), (a, -b), (a, b), (-a, b))
+
+
+def _bar(center: float, length: float) -> tuple[tuple[float, float], ...]:
+    """Return a link as drawn, from its centre of mass: round at its joint, pointed at its end."""
+    b, end = LINK_WIDTH / 2, length - center
+    angles = np.linspace(math.pi / 2, 3 * math.pi / 2, 9).tolist()
+    joint = [(b * math.cos(angle) - center, b * math.sin(angle)) for angle in angles]
+    return (*joint, (end - b, -b), (end, 0.0), (end - b, b))
+
+
+def _disc(x: float, y: float, radius: float) -> tuple[tuple[float, float], ...]:
+    angles = 2 * math.pi * np.arange(32) / 32
+    return tuple((x + radius * math.cos(angle), y + radius * math.sin(angle)) for angle in angles)

@@ -1,0 +1,1 @@
+"""The floating manipulator: output- and state-dependent Riccati control, safety pause, recovery by thrusters."""

@@ -1,0 +1,306 @@
+"""Output- and state-dependent Riccati control (OSDRE) of the tip of a floating manipulator.
+
+With z = (y, dy/dt), y the tip's position in the world, the output dynamics are dz/dt = A(z) z + B u. What is solved is
+the Riccati equation of (A, B); what is fed back is the error z - (y_goal, 0).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from impact_envs.errors import InputError, choices
+from impact_envs.physics.multibody import (
+    Chain,
+    compute_bias,
+    compute_directions,
+    compute_jacobian,
+    compute_mass_matrix,
+    compute_point,
+    factorise,
+    solve_factorised,
+)
+from planners.floating_manipulator.riccati import RiccatiScratch, make_riccati_scratch, solve_riccati
+
+Coefficients = Literal["absolute_output", "printed"]
+Source = Literal["riccati", "last_gain", "none"]
+COEFFICIENTS = ("absolute_output", "printed")
+STATE_WEIGHTS = (1.0, 1.0, 0.5, 0.5)  # Q: Nekoo, Sharf & Ollero, Sec. 4.1
+# Below this output (or speed) the state-dependent coefficients are 0: the generalised inverse of 0 is 0 [m], [m/s].
+LEAST_OUTPUT = 1e-6
+# Below this singular value of B (a stretched arm in line with its mount) the tip cannot be driven in all directions.
+LEAST_AUTHORITY = 1e-3  # [1/kg/m]
+
+
+class OutputScratch(NamedTuple):
+    """Hold the arrays that `compute_gain` works in, for n joints.
+
+    Args:
+        w, rates: directions and absolute rates, shapes (n + 1, 2) and (n + 1,).
+        M, J: mass matrix (then its factor) and tip Jacobian, shapes (n + 3, n + 3) and (2, n + 3).
+        a: accelerations without torque, shape (n + 3,).
+        z, drift: output, and tip acceleration without torque, shapes (4,) and (2,).
+        B: tip acceleration per torque, shape (2, n).
+        A, S, Q, K: Riccati equation and its solution, shape (4, 4).
+        riccati: scratch of its solver.
+    """
+
+    w: np.ndarray
+    rates: np.ndarray
+    M: np.ndarray
+    J: np.ndarray
+    a: np.ndarray
+    z: np.ndarray
+    drift: np.ndarray
+    B: np.ndarray
+    A: np.ndarray
+    S: np.ndarray
+    Q: np.ndarray
+    K: np.ndarray
+    riccati: RiccatiScratch
+
+
+def make_output_scratch(joints: int) -> OutputScratch:
+    """Allocate the working arrays of a manipulator.
+
+    Args:
+        joints: n.
+    """
+    m = joints + 3
+    w, rates, M, J, a = (np.zeros(shape) for shape in ((m - 2, 2), (m - 2,), (m, m), (2, m), (m,)))
+    z, drift, B = np.zeros(4), np.zeros(2), np.zeros((2, joints))
+    A, S, Q, K = np.zeros((4, 4, 4))
+    return OutputScratch(w, rates, M, J, a, z, drift, B, A, S, Q, K, make_riccati_scratch(4))
+
+
+@njit(cache=True)
+def compute_output_dynamics(chain: Chain, q: np.ndarray, v: np.ndarray, s: OutputScratch) -> None:
+    """Compute output z, drift and B of  d^2y/dt^2 = drift + B u.
+
+    drift = J M^-1 (-c) + dJ/dt v and B = J M^-1 (0; 1), which is the generalised Jacobian times the inverse of the
+    arm's reduced mass matrix.
+
+    Args:
+        chain: mass distribution.
+        q, v: coordinates and rates, shape (n + 3,).
+        s: z, drift and B are written.
+
+    Source: Nekoo, Sharf & Ollero, Eqs. 22, 23 and 29.
+    """
+    compute_directions(chain, q, v, s.w, s.rates)
+    tip = chain.levers[len(chain.levers) - 1]
+    s.z[0], s.z[1], s.z[2], s.z[3], s.drift[0], s.drift[1] = compute_point(q, v, s.w, s.rates, tip)
+    compute_mass_matrix(chain, s.w, s.M)
+    compute_bias(chain, s.w, s.rates, s.a)
+    compute_jacobian(s.w, tip, s.J)
+    factorise(s.M)
+    for axis in range(2):
+        solve_factorised(s.M, s.J[axis])
+        for i in range(len(q)):
+            s.drift[axis] -= s.J[axis, i] * s.a[i]
+        for j in range(len(q) - 3):
+            s.B[axis, j] = s.J[axis, 3 + j]
+
+
+@njit(cache=True)
+def fill_coefficients(printed: bool, s: OutputScratch) -> None:
+    """Fill A so that  A z = (dy/dt, drift).
+
+    The lower rows are drift z' / (z' z), or drift (dy/dt)' / |dy/dt|^2 in their right half if ``printed``.
+
+    Args:
+        printed: which of the two.
+        s: z and drift are read, A is written.
+
+    Source: Nekoo, Sharf & Ollero, Eq. 30 is the printed form; the other one reproduces their numbers.
+    """
+    first = 2 if printed else 0
+    square = 0.0
+    for j in range(first, 4):
+        square += s.z[j] * s.z[j]
+    for i in range(2):
+        for j in range(4):
+            s.A[i, j] = 1.0 if j == i + 2 else 0.0
+            s.A[2 + i, j] = 0.0
+            if j >= first and square > LEAST_OUTPUT * LEAST_OUTPUT:
+                s.A[2 + i, j] = s.drift[i] * s.z[j] / square
+
+
+@njit(cache=True)
+def compute_authority(B: np.ndarray) -> float:
+    """Return the smaller singular value of B, shape (2, n)."""
+    xx = yy = xy = 0.0
+    for j in range(B.shape[1]):
+        xx += B[0, j] * B[0, j]
+        yy += B[1, j] * B[1, j]
+        xy += B[0, j] * B[1, j]
+    square = (xx + yy) / 2.0 - math.hypot((xx - yy) / 2.0, xy)
+    return math.sqrt(max(square, 0.0))
+
+
+@njit(cache=True)
+def compute_gain(chain: Chain, q: np.ndarray, v: np.ndarray, effort: float, printed: bool, s: OutputScratch) -> bool:
+    """Compute the output dynamics and the solution K of their Riccati equation.
+
+    Args:
+        chain: mass distribution.
+        q, v: coordinates and rates, shape (n + 3,).
+        effort: r in R = r 1.
+        printed: form of the state-dependent coefficients.
+        s: z, B and K are written; K keeps its last value without a solution.
+
+    Returns:
+        Whether there is a solution.
+    """
+    compute_output_dynamics(chain, q, v, s)
+    if not compute_authority(s.B) >= LEAST_AUTHORITY:
+        return False
+    fill_coefficients(printed, s)
+    for i in range(2):
+        for j in range(2):
+            s.S[2 + i, 2 + j] = 0.0
+            for k in range(s.B.shape[1]):
+                s.S[2 + i, 2 + j] += s.B[i, k] * s.B[j, k] / effort
+    return solve_riccati(s.A, s.S, s.Q, s.K, s.riccati)
+
+
+@njit(cache=True)
+def feed_back(goal: np.ndarray, effort: float, s: OutputScratch, u: np.ndarray) -> None:
+    """Compute u = -R^-1 B' K (z - (goal, 0)).
+
+    Args:
+        goal: of the tip, shape (2,) [m].
+        effort: r in R = r 1.
+        s: z, B and K are read.
+        u: result, shape (n,) [N m].
+
+    Source: Nekoo, Sharf & Ollero, Eq. 32.
+    """
+    for j in range(len(u)):
+        u[j] = 0.0
+        for i in range(2):
+            for k in range(4):
+                error = s.z[k] - goal[k] if k < 2 else s.z[k]
+                u[j] -= s.B[i, j] * s.K[2 + i, k] * error / effort
+
+
+@njit(cache=True)
+def compute_base_rates(chain: Chain, q: np.ndarray, momenta: np.ndarray, v: np.ndarray, s: OutputScratch) -> None:
+    """Compute the rates of the base that momenta and joint rates leave it.
+
+    dq_b/dt = M_b^-1 ((P; L - p_b x P) - M_ba dq_a/dt).
+
+    Args:
+        chain: mass distribution.
+        q: coordinates, shape (n + 3,).
+        momenta: P_x, P_y and L about the world's origin, shape (3,) [N s], [N m s].
+        v: joint rates in v[3:]; v[:3] is the result, shape (n + 3,).
+        s: working arrays.
+
+    Source: Nekoo, Sharf & Ollero, Eqs. 19 and 24.
+    """
+    compute_directions(chain, q, v, s.w, s.rates)
+    compute_mass_matrix(chain, s.w, s.M)
+    v[0], v[1] = momenta[0], momenta[1]
+    v[2] = momenta[2] - q[0] * momenta[1] + q[1] * momenta[0]
+    for i in range(3):
+        for j in range(3, len(q)):
+            v[i] -= s.M[i, j] * v[j]
+    factorise(s.M[:3, :3])
+    solve_factorised(s.M[:3, :3], v[:3])
+
+
+@njit(cache=True)
+def regulate(
+    chain: Chain,
+    q: np.ndarray,
+    v: np.ndarray,
+    momenta: np.ndarray,
+    measured: bool,
+    goal: np.ndarray,
+    effort: float,
+    printed: bool,
+    s: OutputScratch,
+    u: np.ndarray,
+) -> bool:
+    """Compute one step of OSDRE.
+
+    Args:
+        chain: mass distribution.
+        q, v: coordinates and rates, shape (n + 3,); v[:3] is overwritten unless ``measured``.
+        momenta: P_x, P_y and L about the world's origin, shape (3,) [N s], [N m s].
+        measured: the base's rates are in v[:3]; otherwise they follow from the momenta.
+        goal: of the tip, shape (2,) [m].
+        effort: r in R = r 1.
+        printed: form of the state-dependent coefficients.
+        s: working arrays; its K is the gain of the last success.
+        u: result, shape (n,) [N m].
+
+    Returns:
+        Whether the Riccati equation had a solution.
+    """
+    if not measured:
+        compute_base_rates(chain, q, momenta, v, s)
+    solved = compute_gain(chain, q, v, effort, printed, s)
+    feed_back(goal, effort, s, u)
+    return solved
+
+
+class OutputRegulator:
+    """Drive the tip to a goal by OSDRE; where the equation has no solution, by the last gain.
+
+    Args:
+        chain: base, links and load, as believed.
+        goal: of the tip, shape (2,) [m].
+        sdc: "absolute_output" reproduces the paper's numbers; its A depends on where the world's origin lies.
+            "printed" is the paper's formula.
+        state_weights: diagonal of Q.
+
+    Raises:
+        InputError: unknown form of the state-dependent coefficients.
+    """
+
+    def __init__(
+        self,
+        chain: Chain,
+        goal: tuple[float, float],
+        sdc: Coefficients = "absolute_output",
+        state_weights: tuple[float, float, float, float] = STATE_WEIGHTS,
+    ) -> None:
+        if sdc not in COEFFICIENTS:
+            raise InputError(f"sdc '{sdc}' is unknown; {choices(sdc, COEFFICIENTS)}")
+        self._scratch = make_output_scratch(len(chain.inertia) - 1)
+        np.fill_diagonal(self._scratch.Q, state_weights)
+        self._chain, self._goal = chain, np.array(goal, dtype=float)
+        self._printed = sdc == "printed"
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last gain."""
+        self._scratch.K[:] = 0.0
+        self._known = False
+
+    def control(
+        self, q: np.ndarray, v: np.ndarray, effort: float, momenta: np.ndarray | None = None
+    ) -> tuple[np.ndarray, Source]:
+        """Return the joint torques, and where they came from.
+
+        Args:
+            q, v: coordinates (base x, y, psi, joints) and rates, shape (n + 3,) [m], [rad], [m/s], [rad/s].
+            effort: r in R = r 1.
+            momenta: P_x, P_y and L about the world's origin, shape (3,) [N s], [N m s], which then decide the base's
+                rates instead of v.
+
+        Returns:
+            Torques before the motors' limits, shape (n,) [N m]; "riccati", "last_gain", or "none" (zero torque).
+        """
+        u, v = np.zeros(len(v) - 3), np.array(v, dtype=float)
+        measured = momenta is None
+        known = v[:3] if momenta is None else momenta
+        case = self._goal, effort, self._printed
+        solved = regulate(self._chain, q, v, known, measured, *case, self._scratch, u)
+        self._known = self._known or solved
+        return u, "riccati" if solved else "last_gain" if self._known else "none"
