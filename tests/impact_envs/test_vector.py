@@ -11,6 +11,8 @@ from impact_envs import JointEnv, gym_id, list_scenarios, load_scenario, paralle
 from impact_envs.errors import InputError
 from impact_envs.rollout import Diagnostics
 
+DISCS = [name for name in list_scenarios() if load_scenario(name).domain == "free_flyer"]
+
 SCENARIO = load_scenario("throw_and_catch").suite("all")
 SUITES = ("nominal", "all", "hard")
 WORLDS, CYCLES, SIZE = 3, 5, 6
@@ -112,7 +114,7 @@ def test_gymnasiums_checks_of_an_environment_hold():
 
 @pytest.mark.parametrize("strong", [False, True])
 @pytest.mark.parametrize("suite", SUITES)
-@pytest.mark.parametrize("name", list_scenarios())
+@pytest.mark.parametrize("name", DISCS)
 def test_world_k_is_the_single_environment_with_seed_plus_k_bit_for_bit(name, suite, strong):
     scenario = load_scenario(name).suite(suite)
     scenario = strengthen(scenario) if strong else scenario
@@ -428,3 +430,9 @@ def test_what_the_exact_engine_does_not_take_is_refused():
             make_worlds(scenario)
     with pytest.raises(InputError, match="did you mean 'corridor'"):
         make_worlds("coridor")
+
+
+@pytest.mark.parametrize("name", ["dual_arm_grasp", "floating_manipulator"])
+def test_other_domains_are_refused(name):
+    with pytest.raises(InputError, match=f"scenario '{name}' is not for the exact engine"):
+        vector_env(name, 2)
