@@ -125,15 +125,15 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             InputError: a mask or seeds of another shape, or a bad seed.
         """
         mask = self._check_mask((options or {}).get("reset_mask"))
+        if not (self._started | mask).all():
+            world = int(np.argmin(self._started | mask))
+            raise InputError(f"reset_mask leaves out world {world}, which was never reset: reset all worlds first")
         chosen = np.flatnonzero(mask)
         if seed is None and not self._started.any():
             seed = int(np.random.SeedSequence().entropy) % 2**62  # type: ignore[arg-type]
         if seed is not None:
             self.batch.seed(chosen, self._make_seeds(seed, chosen))
             super().reset(seed=seed if isinstance(seed, int) else None)
-        if not (self._started | mask).all():
-            world = int(np.argmin(self._started | mask))
-            raise InputError(f"reset_mask leaves out world {world}, which was never reset: reset all worlds first")
         self._started[:] = True
         output = self._fresh(copy=not mask.all())
         self.batch.start(mask, output)

@@ -179,6 +179,9 @@ class GpuBatch:
             self._draw(starting.nonzero()[:, 0])
         self._run(actions, torch.where(starting, START, STEP), output)
 
+    def close(self) -> None:
+        """Do nothing: memory goes back to the device with the tensors."""
+
     def make_output(self, agents: bool) -> Output:
         """Return fresh tensors for a step to fill.
 
