@@ -142,7 +142,7 @@ class Train:
 
     def run(self) -> dict[str, Any]:
         """Return steps, folder, time and the tuning evaluation."""
-        from train.residual_free_flyer import Args, main
+        from train.residual import Args, main
 
         args = Args(
             scenario=self.scenario,

@@ -16,7 +16,7 @@ from impact_envs import InputError, Scenario, gym_id, list_scenarios, load_scena
 from impact_envs.rollout import Diagnostics, Episode
 from planners import make_expert, make_plan
 from planners.plan import Plan
-from train.residual_free_flyer import DecidedEnds
+from train.residual import DecidedEnds
 
 
 class Pusher:

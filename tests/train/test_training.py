@@ -23,8 +23,8 @@ from agents.actor import load_policy
 from impact_envs import InputError, load_scenario, parallel_env, rollout
 from impact_envs.rollout import Diagnostics
 from planners import make_expert
-from train import residual_free_flyer
-from train.residual_free_flyer import Args, last_checkpoint, main
+from train import residual
+from train.residual import Args, last_checkpoint, main
 
 ROOT = Path(__file__).parents[2]
 
@@ -75,9 +75,9 @@ def pusher(monkeypatch: pytest.MonkeyPatch) -> type[Pusher]:
     monkeypatch.setattr(Pusher, "seeds", [], raising=False)
     monkeypatch.setattr(Pusher, "at_reset", lambda self: None, raising=False)
     monkeypatch.setattr("agents.residual.make_expert", Pusher)
-    monkeypatch.setattr(residual_free_flyer, "make_expert", Pusher)
-    monkeypatch.setattr(residual_free_flyer, "make_plan", lambda scenario: None)
-    monkeypatch.setattr(residual_free_flyer, "load_scenario", lambda name: short)
+    monkeypatch.setattr(residual, "make_expert", Pusher)
+    monkeypatch.setattr(residual, "make_plan", lambda scenario: None)
+    monkeypatch.setattr(residual, "load_scenario", lambda name: short)
     return Pusher
 
 
@@ -254,7 +254,7 @@ def test_every_argument_is_a_documented_option(capsys: pytest.CaptureFixture[str
 @pytest.mark.slow
 def test_a_killed_run_resumes(tmp_path: Path) -> None:
     options = "--steps 100000 --rollout 8 --batch 4 --checkpoint-every 8 --eval-every 0 --hidden 8 --no-progress"
-    command = [sys.executable, "-m", "train.residual_free_flyer", *options.split(), "--out", str(tmp_path)]
+    command = [sys.executable, "-m", "train.residual", *options.split(), "--out", str(tmp_path)]
     run = subprocess.Popen(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, start_new_session=True)
     try:
         deadline = time.monotonic() + 240

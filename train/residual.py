@@ -1,6 +1,6 @@
-"""Train a bounded correction to a free-flyer's expert, from first decision to resumable checkpoints.
+"""Train a bounded correction to an expert, from first decision to resumable checkpoints.
 
-``python -m train.residual_free_flyer --help`` lists every argument. What a run leaves in ``out``:
+``python -m train.residual --help`` lists every argument. What a run leaves in ``out``:
 
     policy.safetensors, policy.json   the policy that was best on the tuning seeds; ``out`` is a checkpoint
     directory checkpoints/<steps>/              the last two policies with all that is needed to resume
@@ -35,7 +35,7 @@ from impact_envs.env import parallel_env
 from impact_envs.errors import InputError
 from impact_envs.rollout import Policy, rollout
 from impact_envs.scenario import Scenario, load_scenario
-from planners import make_expert, make_plan
+from planners import has_planner, make_expert, make_plan
 from planners.plan import Plan
 from train.metrics import compare_pairs, compute_wilson_interval
 from train.record import read_versions, write_json
@@ -60,7 +60,7 @@ class Args:
     algo: Literal["ppo", "sac"] = "ppo"
     """Learning algorithm."""
     steps: int = 8192
-    """Corrections to answer in the whole run; a free-flyer asks for one per impact."""
+    """Corrections to answer in the whole run; a free-flyer asks for one per impact, the others periodically."""
     out: Path = Path("runs/residual")
     """Folder for checkpoints and logs."""
     resume: bool = False
@@ -111,7 +111,7 @@ def main(args: Args) -> dict[str, Any]:
     check_args(args)
     torch.set_num_threads(1)
     scenario = load_scenario(args.scenario)
-    plan = make_plan(scenario.suite(args.suite))
+    plan = make_plan(scenario.suite(args.suite)) if has_planner(scenario) else None
     envs = make_envs(args, scenario, plan)
     try:
         model = make_model(args, envs)
@@ -177,7 +177,7 @@ def last_checkpoint(out: Path) -> Path | None:
     return max(folders, key=lambda path: int(path.name), default=None)
 
 
-def make_envs(args: Args, scenario: Scenario, plan: Plan) -> VecNormalize:
+def make_envs(args: Args, scenario: Scenario, plan: Plan | None) -> VecNormalize:
     """Make the training environments, with running normalisation of the features.
 
     Args:
@@ -206,7 +206,7 @@ class DecidedEnds(gymnasium.Wrapper[np.ndarray, np.ndarray, np.ndarray, np.ndarr
         return features, reward, terminated or decided, truncated and not decided, info
 
 
-def _make_env(scenario: Scenario, suite: str, plan: Plan, apart: bool) -> DecidedEnds:
+def _make_env(scenario: Scenario, suite: str, plan: Plan | None, apart: bool) -> DecidedEnds:
     if apart:
         # Stopping is the parent's to handle; without it the pipe ends, and so does this process.
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -250,7 +250,7 @@ class Run:
     Args:
         args: arguments of the run.
         scenario: what is trained on.
-        plan: for the expert to follow.
+        plan: for the expert to follow, if it follows one.
         model: PPO or SAC; with ``args.resume`` the last checkpoint is put into it.
         envs: training environments; they are seeded anew, from seed and steps.
 
@@ -258,7 +258,7 @@ class Run:
         InputError: the checkpoint does not fit the arguments.
     """
 
-    def __init__(self, args: Args, scenario: Scenario, plan: Plan, model: Model, envs: VecNormalize) -> None:
+    def __init__(self, args: Args, scenario: Scenario, plan: Plan | None, model: Model, envs: VecNormalize) -> None:
         self._args, self._scenario, self._model, self._envs = args, scenario, model, envs
         self._settings = _settings(args)
         self._expert = make_expert(scenario.suite(args.suite), plan)
