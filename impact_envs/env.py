@@ -121,7 +121,8 @@ class ImpactEnv(ParallelEnv):
     def __init__(self, model: Model, task: Task, render_mode: str | None = None, max_cycles: int | None = None) -> None:
         self.model, self.task, self.render_mode = model, task, render_mode
         self.scenario: Any = task.scenario
-        self.max_cycles = self.scenario.steps if max_cycles is None else max_cycles
+        self._last, self._limit = self.scenario.steps, self.scenario.world.diagonal  # computed at every access
+        self.max_cycles = self._last if max_cycles is None else max_cycles
         self.possible_agents = list(self.scenario.agents)
         self.agents: list[str] = []
         self.state_space = task.state_space
@@ -175,7 +176,7 @@ class ImpactEnv(ParallelEnv):
         self.task.reset(physics, self.model.state(), self._rng)
         self.signals = self.task.signals(self.model.state())
         self.monitor.reset()
-        self.bounds = self._clip(self.monitor.update(self.signals))
+        self.bounds = self._watch()
         self._track, self._marks = [], []
         self._remember()
         return self.task.observe(0.0, self.bounds), self._infos()
@@ -206,13 +207,13 @@ class ImpactEnv(ParallelEnv):
         states = self.model.state()
         self.task.sense(states, self.impacts)
         self.signals = self.task.signals(states)
-        before, self.bounds = self.bounds, self._clip(self.monitor.update(self.signals))
+        before, self.bounds = self.bounds, self._watch()
         self._remember()
-        over = self.steps >= min(self.max_cycles, self.scenario.steps)
+        over = self.steps >= min(self.max_cycles, self._last)
         (low, high), over_low = self.bounds, self.bounds[0] if over else 0.0
-        team = (low + high - (before[0] + before[1])) / 2 + over_low
         agents = self.agents
-        rewards = {agent: team / len(agents) - EFFORT_WEIGHT * self.task.effort(actions[agent]) for agent in agents}
+        share = ((low + high - (before[0] + before[1])) / 2 + over_low) / len(agents)
+        rewards = {agent: share - EFFORT_WEIGHT * self.task.effort(actions[agent]) for agent in agents}
         observations, infos = self.task.observe(self.time, self.bounds), self._infos(over)
         if over:
             self.agents = []
@@ -267,9 +268,10 @@ class ImpactEnv(ParallelEnv):
             self._track.append({b: (s[f"{b}.x"], s[f"{b}.y"], s[f"{b}.heading"]) for b in bodies})
             self._marks += self.impacts
 
-    def _clip(self, bounds: tuple[float, float]) -> tuple[float, float]:
-        limit = self.scenario.world.diagonal
-        return max(-limit, min(limit, bounds[0])), max(-limit, min(limit, bounds[1]))
+    def _watch(self) -> tuple[float, float]:
+        """Take the formula's sample; return the interval of robustness still possible, clipped."""
+        low, high = self.monitor.update(self.signals)
+        return max(-self._limit, min(self._limit, low)), max(-self._limit, min(self._limit, high))
 
     def _infos(self, over: bool = False) -> dict[str, dict[str, Any]]:
         info: dict[str, Any] = {"robustness_lower": self.bounds[0], "robustness_upper": self.bounds[1]}

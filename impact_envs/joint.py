@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,11 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> None:
         self.parallel = parallel_env(scenario, render_mode, max_cycles)
         self.render_mode = render_mode
-        self._sizes = [self.parallel.action_space(agent).shape[0] for agent in self.parallel.possible_agents]
-        self.action_space = Box(-1.0, 1.0, (sum(self._sizes),), np.float32)
+        sizes = [self.parallel.action_space(agent).shape[0] for agent in self.parallel.possible_agents]
+        *starts, size = itertools.accumulate(sizes, initial=0)
+        # The last agent gets all the rest, so that an action that is too long is refused.
+        self._parts = [slice(*ends) for ends in itertools.pairwise([*starts, None])]
+        self.action_space = Box(-1.0, 1.0, (size,), np.float32)
         self.observation_space = self.parallel.task.joint_observation_space
 
     def reset(
@@ -45,9 +49,9 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Hold all agents' actions for one control period; see ImpactEnv.step."""
-        parts = np.split(np.asarray(action), np.cumsum(self._sizes)[:-1])
-        agents = self.parallel.possible_agents
-        _, rewards, terminations, truncations, infos = self.parallel.step(dict(zip(agents, parts, strict=True)))
+        action, agents = np.asarray(action), self.parallel.possible_agents
+        actions = {agent: action[part] for agent, part in zip(agents, self._parts, strict=True)}
+        _, rewards, terminations, truncations, infos = self.parallel.step(actions)
         first, total = agents[0], 0.0
         for reward in rewards.values():  # sum() rounds differently from one Python to the next
             total += reward

@@ -21,6 +21,9 @@ from impact_envs.stream import LARGEST_SEED
 
 DTYPES = {"float64": np.float64, "float32": np.float32}
 DEVICES = ("cpu", "cuda")
+# Infos that are there at every call, and their masks, which are true of all worlds.
+VALUES = ("robustness_lower", "robustness_upper", "impacts", "overflow")
+ALWAYS = (*VALUES, *(f"_{name}" for name in VALUES))
 
 
 class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
@@ -97,7 +100,9 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._output = self.batch.make_output(per_robot)
         self._over = self._falses()
-        self._started = np.zeros(num_envs, bool)
+        self._zeros = self._take(np.zeros(num_envs))
+        self._masks = self._take(np.ones((len(VALUES), num_envs), bool))
+        self._started = self._ended = False  # any world, ever; any world in the last step
 
     @property
     def agent_observations(self) -> Any:
@@ -125,21 +130,21 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             InputError: a mask or seeds of another shape, or a bad seed.
         """
         mask = self._check_mask((options or {}).get("reset_mask"))
-        if not (self._started | mask).all():
-            world = int(np.argmin(self._started | mask))
+        if not (self._started or mask.all()):
+            world = int(np.argmin(mask))
             raise InputError(f"reset_mask leaves out world {world}, which was never reset: reset all worlds first")
         chosen = np.flatnonzero(mask)
-        if seed is None and not self._started.any():
+        if seed is None and not self._started:
             seed = int(np.random.SeedSequence().entropy) % 2**62  # type: ignore[arg-type]
         if seed is not None:
             self.batch.seed(chosen, self._make_seeds(seed, chosen))
             super().reset(seed=seed if isinstance(seed, int) else None)
-        self._started[:] = True
+        self._started = True
         output = self._fresh(copy=not mask.all())
         self.batch.start(mask, output)
         self._output = output
         self._over &= self._take(~mask)
-        return self._give(output.joint), self._infos(self._falses())
+        return self._give(output.joint), self._infos()
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Hold the actions for one control period.
@@ -154,7 +159,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             InputError: an action that is no finite number, naming world and robot; before ``reset``; or, without
                 autoreset, a world whose episode is over. Nothing was stepped.
         """
-        if not self._started.all():
+        if not self._started:
             raise InputError("step before reset: call reset first")
         actions = self._take(actions)
         if tuple(actions.shape) != self.action_space.shape:
@@ -162,16 +167,17 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         if self.autoreset_mode == AutoresetMode.DISABLED and self._over.any():
             world = self._over.tolist().index(True)
             raise InputError(f"the episode of world {world} is over: reset it with options={{'reset_mask': ...}}")
-        restart = self._over if self.autoreset_mode == AutoresetMode.NEXT_STEP else None
+        restart = self._over if self._ended and self.autoreset_mode == AutoresetMode.NEXT_STEP else None
         output = self._fresh(copy=False)
         self.batch.step(actions.reshape(self.num_envs, -1, 3), output, restart)
         self._output = output
         over = self.batch.over
+        self._ended = bool(over.any())
         rewards = self._sum_robots(output.rewards)
-        infos = self._infos(over)
+        infos = self._infos(over if self._ended else None)
         self._over = _copy(over)
         truncations = _copy(over)
-        if self.autoreset_mode == AutoresetMode.SAME_STEP and over.any():
+        if self._ended and self.autoreset_mode == AutoresetMode.SAME_STEP:
             infos = self._start_over(over, output, infos)
         give = self._give
         return give(output.joint), give(rewards), give(self._falses()), give(truncations), infos
@@ -187,7 +193,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         self.batch.start(over, output)
         output.rewards[:] = rewards
         self._over = self._falses()
-        return self._infos(self._falses()) | {name: infos[name] for name in ends} | final
+        return self._infos() | {name: infos[name] for name in ends} | final
 
     def close_extras(self, **kwargs: Any) -> None:
         """Let the threads go."""
@@ -200,19 +206,16 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
                 new[:] = old
         return output
 
-    def _infos(self, over: Any) -> dict[str, Any]:
-        low, high = (_copy(self.batch.bounds[:, end]) for end in (0, 1))
-        values = {
-            "robustness_lower": low,
-            "robustness_upper": high,
-            "impacts": _copy(self.batch.impacts),
-            "overflow": _copy(self.batch.overflow),
-        }
-        infos = values | {f"_{name}": ~self._falses() for name in values}
-        if over.any():
+    def _infos(self, over: Any = None) -> dict[str, Any]:
+        """Return the infos of all worlds; over says which episodes ended, if any did."""
+        batch = self.batch
+        low, high = _copy(batch.bounds.T)
+        values = (low, high, _copy(batch.impacts), _copy(batch.overflow), *_copy(self._masks))
+        infos = dict(zip(ALWAYS, values, strict=True))
+        if over is not None:
             infos |= {"robustness": low * over, "_robustness": _copy(over)}
             infos |= {"success": over & (low > 0), "_success": _copy(over)}
-        return {name: self._give(value) for name, value in infos.items()}
+        return {name: self._give(value) for name, value in infos.items()} if self.tensors else infos
 
     def _make_seeds(self, seed: Any, worlds: np.ndarray) -> np.ndarray:
         """Return the seeds of some worlds, shape (m,)."""
@@ -259,9 +262,9 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _sum_robots(self, rewards: Any) -> Any:
         """Return the sum over robots in float64, added in their order as JointEnv does, shape (num_envs,)."""
-        total = self._take(np.zeros(self.num_envs))
-        for column in rewards.T:
-            total += column
+        total = self._zeros
+        for robot in range(self.batch.robots):
+            total = total + rewards[:, robot]
         return total
 
 

@@ -175,10 +175,11 @@ class Batch:
         if actions.shape != (self.count, self.robots, 3):
             raise InputError(f"actions have shape {actions.shape}; ({self.count}, {self.robots}, 3) is needed")
         todo = self._todo
-        if restart is None or not restart.any():
-            todo[:] = STEP
-        else:
-            todo[:] = np.where(restart, START, STEP)
+        todo[:] = STEP
+        if restart is not None and not restart.any():
+            restart = None
+        if restart is not None:
+            todo[restart] = START
             actions = np.where(restart[:, None, None], 0, actions)
         wrong = find_not_finite(actions.reshape(-1))
         if wrong >= 0:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
 
 from impact_envs.compiled import announce
-from impact_envs.errors import InputError, choices
+from impact_envs.free_flyer.command import read_commands
 from impact_envs.free_flyer.engine import EVENTS, step_alone
 from impact_envs.free_flyer.model import FreeFlyerModel
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
@@ -54,8 +53,8 @@ class DiscModel:
         self._arena, self._names = make_arena(scenario)
         self._scratch = make_scratch(self._arena, 1)
         self._log = np.zeros((1, EVENTS, ROW))
-        self._controls = np.zeros((len(scenario.robots), 3))
-        self._limits = self._arena.discs[: len(scenario.robots), LIMIT:].tolist()
+        self._robots = scenario.robots
+        self._limits = self._arena.discs[: len(scenario.robots), LIMIT:].copy()
         self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
 
     def reset(self, physics: Physics) -> None:
@@ -75,6 +74,7 @@ class DiscModel:
         worlds.thruster[0, :, :OWED] = [physics.thruster_gain[name].ravel() for name in self.scenario.robots]
         worlds.contact[0] = physics.restitution, physics.restitution_speed, physics.friction
         self._states = np.empty_like(worlds.state)
+        self._arrays = (*self._arena, *worlds, *self._scratch, self._log)
         tables = [self.scenario.body(name) for name in names]
         self.set_state(np.array([(*table.start, 0.0, 0.0, table.heading, 0.0) for table in tables]))
 
@@ -115,16 +115,8 @@ class DiscModel:
             InputError: a robot without control, an unknown robot, or a control that is not three finite
                 numbers.
         """
-        robots = self.scenario.robots
-        if controls.keys() != robots.keys():
-            wrong = ", ".join(sorted(controls.keys() ^ robots.keys()))
-            raise InputError(f"controls must name every robot once, not so: {wrong}; {choices(wrong, robots)}")
-        for row, limits, name in zip(self._controls, self._limits, robots, strict=True):
-            command = np.asarray(controls[name], dtype=float).ravel().tolist()
-            if len(command) != 3 or not all(map(math.isfinite, command)):
-                raise InputError(f"control of {name} = {command}: three finite numbers Fx, Fy, tau are needed")
-            row[:] = [-limit if u < -limit else min(u, limit) for u, limit in zip(command, limits, strict=True)]
-        step_alone(*self._arena, *self._worlds, *self._scratch, self._log, self._controls, self._states)
+        held = read_commands(controls, self._robots, self._limits, "control")
+        step_alone(*self._arrays, held, self._states)
         hits = int(self._worlds.counter[0, HITS])
         return [self._impact(row) for row in self._log[0, :hits].tolist()] if hits else []
 

@@ -17,7 +17,7 @@ from impact_envs.free_flyer.sensing import (
     TAIL_SIZE,
     Sensing,
     compute_memory_size,
-    take_sample,
+    sample_alone,
 )
 from impact_envs.free_flyer.sensing import VELOCITY_WINDOW as VELOCITY_WINDOW
 
@@ -53,10 +53,10 @@ class Sensors:
             rng: the episode's generator; with noise, every sample takes two doubles per body from it.
         """
         noise, delay = float(physics.position_noise), int(physics.delay_steps)
-        self._sensing = Sensing(self._period, noise, bool(physics.velocity_measured), delay)
-        self._rng, self._samples = rng, 0
+        sensing = Sensing(self._period, noise, bool(physics.velocity_measured), delay)
+        self._sensing, self._rng, self._samples = tuple(sensing), rng, 0
         self._uniforms = np.zeros((1, 2 * self._bodies if noise > 0 else 0))
-        self._memory = np.zeros((1, compute_memory_size(self._sensing, self._bodies, self._robots)))
+        self._memory = np.zeros((1, compute_memory_size(sensing, self._bodies, self._robots)))
         self._ideal = self._memory.size + self._uniforms.size == 0
 
     def measure(self, states: np.ndarray, contacts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,15 +67,16 @@ class Sensors:
             contacts: which robots felt an impact, shape (robots,), 0 or 1.
 
         Returns:
-            Measured states and contacts of the same shapes, as old as the delay (the first ones until then).
+            Measured states and contacts of the same shapes, as old as the delay (the first ones until then); of ideal
+            sensors the arguments themselves.
         """
         if self._ideal:
-            return states.copy(), contacts.copy()
-        if self._sensing.noise > 0:
+            return states, contacts
+        if self._uniforms.size:
             self._rng.random(out=self._uniforms)
         measured, felt = np.empty((1, self._bodies, STATE_SIZE)), np.empty((1, self._robots))
         world = (states[None], contacts[None], self._uniforms, self._memory, measured, felt)
-        take_sample(self._sensing, 0, self._samples, *world)
+        sample_alone(self._sensing, self._samples, *world)
         self._samples += 1
         return measured[0], felt[0]
 

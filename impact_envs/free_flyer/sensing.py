@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_envs.compiled import inlined
+from impact_envs.compiled import compiled, inlined
 from impact_envs.stream import normal_pair
 
 BODY_SIZE = 7  # x, y, vx, vy, cos(heading), sin(heading), omega
@@ -92,6 +92,21 @@ def take_sample(
         _delay(sensing, k, sample, memory, start, measured, felt)
 
 
+@compiled
+def sample_alone(
+    sensing: tuple,
+    sample: int,
+    states: np.ndarray,
+    contacts: np.ndarray,
+    uniforms: np.ndarray,
+    memory: np.ndarray,
+    measured: np.ndarray,
+    felt: np.ndarray,
+) -> None:
+    """``take_sample`` of world 0 for Python, which hands over a plain tuple faster than a NamedTuple."""
+    take_sample(Sensing(*sensing), 0, sample, states, contacts, uniforms, memory, measured, felt)
+
+
 @inlined
 def _differentiate(sensing: Sensing, k: int, sample: int, memory: np.ndarray, measured: np.ndarray) -> None:
     """Replace velocities by the difference quotient to the oldest remembered position.
@@ -139,6 +154,23 @@ def _delay(
         contact = felt[k, r]
         felt[k, r] = contact if first else memory[k, oldest + at]
         memory[k, newest + at] = contact
+
+
+@inlined
+def write_observations(
+    k: int,
+    measured: np.ndarray,
+    felt: np.ndarray,
+    fraction: float,
+    low: float,
+    high: float,
+    joint: np.ndarray,
+    agents: np.ndarray,
+) -> None:
+    """Write the joint observation of world k, and those of its robots for which there is room (see below)."""
+    write_joint_observation(k, measured, felt, fraction, low, high, joint)
+    for agent in range(agents.shape[1]):
+        write_agent_observation(k, agent, joint, agents)
 
 
 @inlined

@@ -16,8 +16,7 @@ from impact_envs.free_flyer.sensing import (
     FELT_SPEED,
     Sensing,
     take_sample,
-    write_agent_observation,
-    write_joint_observation,
+    write_observations,
 )
 from impact_envs.free_flyer.worlds import (
     FELT,
@@ -191,9 +190,7 @@ def observe(worlds: Worlds, sensing: Sensing, rules: Rules, memory: Memory, outp
         )
     fraction = steps * sensing.period / rules.horizon
     low, high = memory.bounds[k, 0], memory.bounds[k, 1]
-    write_joint_observation(k, memory.measured, memory.felt, fraction, low, high, output.joint)
-    for i in range(output.agents.shape[1]):
-        write_agent_observation(k, i, output.joint, output.agents)
+    write_observations(k, memory.measured, memory.felt, fraction, low, high, output.joint, output.agents)
 
 
 # What run does with a world.

@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from gymnasium.spaces import Box
 
+from impact_envs.free_flyer.command import read_commands
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, Sensors
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
-from impact_envs.free_flyer.sensing import FELT_SPEED, write_agent_observation, write_joint_observation
+from impact_envs.free_flyer.sensing import FELT_SPEED, write_observations
 from impact_envs.physics.impact import Impact
 from impact_envs.shape import Shape
 
@@ -30,18 +31,19 @@ class FreeFlyerTask:
 
     def __init__(self, scenario: FreeFlyerScenario) -> None:
         self.scenario = scenario
-        self._limits = {
-            name: (robot.force_limit, robot.force_limit, robot.torque_limit) for name, robot in scenario.robots.items()
-        }
+        self._robots, self._period, self._horizon = scenario.robots, scenario.control_period, scenario.horizon
+        limits = [(robot.force_limit, robot.force_limit, robot.torque_limit) for robot in scenario.robots.values()]
+        self._limits, self._ones = np.array(limits, dtype=float), np.ones((len(limits), 3))
         self._sensors = Sensors(scenario)
-        self._names = scenario.agents
+        self._rows = {name: row for row, name in enumerate(scenario.agents)}
         self._signals = [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS]
-        self._contacts = np.zeros(len(scenario.robots))
         size = BODY_SIZE * len(scenario.bodies)
         n = len(scenario.robots)
+        self._agents_shape, self._joint_shape = (1, n, size + TAIL_SIZE), (1, size + n + TAIL_SIZE - 1)
+        self._nobody = np.empty((1, 0, size + TAIL_SIZE))
         self.action_spaces = {name: Box(-1.0, 1.0, (3,), np.float32) for name in scenario.agents}
-        self.observation_spaces = {name: _unbounded(size + TAIL_SIZE) for name in scenario.agents}
-        self.joint_observation_space = _unbounded(size + n + TAIL_SIZE - 1)
+        self.observation_spaces = {name: _unbounded(self._agents_shape[2]) for name in scenario.agents}
+        self.joint_observation_space = _unbounded(self._joint_shape[1])
         self.state_space = _unbounded(6 * len(scenario.bodies) + 1)
 
     def reset(self, physics: Physics, states: np.ndarray, rng: np.random.Generator) -> None:
@@ -56,23 +58,28 @@ class FreeFlyerTask:
         self.sense(states, [])
 
     def controls(self, actions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Scale actions to body-frame force and torque [N, N, N m], shape (3,) each."""
-        # Plain numbers: arithmetic on arrays of three costs more than the whole step.
-        return {
-            name: np.array([u * limit for u, limit in zip(_clip(action), self._limits[name], strict=True)])
-            for name, action in actions.items()
-        }
+        """Scale actions to body-frame force and torque [N, N, N m], shape (3,) each.
+
+        Raises:
+            InputError: a robot without action, an unknown robot, or an action that is not three finite numbers.
+        """
+        controls = read_commands(actions, self._robots, self._ones, "action") * self._limits
+        return {name: controls[row] for name, row in self._rows.items()}
 
     def effort(self, action: np.ndarray) -> float:
         """Return a robot's effort in one control period: mean square of its action, in [0, 1]."""
         total = 0.0
-        for u in _clip(action):
-            total += u * u
+        for u in np.asarray(action).tolist():  # plain numbers: arrays of three cost more
+            total += u * u if -1.0 < u < 1.0 else 1.0
         return total / len(action)
 
     def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
         """Return the propulsion spent in one control period: sum of |F| dt over robots [N s]."""
-        return sum(math.hypot(u[0], u[1]) for u in controls.values()) * self.scenario.control_period
+        total = 0.0
+        for u in controls.values():
+            fx, fy, _ = u.tolist()
+            total += math.hypot(fx, fy)
+        return total * self._period
 
     def sense(self, states: np.ndarray, impacts: Sequence[Impact]) -> None:
         """Take the sensors' sample of this control step.
@@ -81,8 +88,11 @@ class FreeFlyerTask:
             states: true states, shape (bodies, 6).
             impacts: impacts of the last control period.
         """
-        felt = {name for impact in impacts if impact.speed > FELT_SPEED for name in (impact.a, impact.b)}
-        contacts = np.array([float(name in felt) for name in self._names])
+        contacts = np.zeros(len(self._rows))
+        for impact in impacts:
+            for name in (impact.a, impact.b):
+                if impact.speed > FELT_SPEED and name in self._rows:
+                    contacts[self._rows[name]] = 1.0
         self._measured, self._contacts = self._sensors.measure(states, contacts)
 
     def observe(self, time: float, bounds: tuple[float, float]) -> dict[str, np.ndarray]:
@@ -92,18 +102,13 @@ class FreeFlyerTask:
             time: [s].
             bounds: interval of robustness still possible, finite [m].
         """
-        joint = self.observe_jointly(time, bounds)[None]
-        agents = np.empty((1, len(self.scenario.robots), BODY_SIZE * len(self.scenario.bodies) + TAIL_SIZE))
-        for i in range(len(self.scenario.robots)):
-            write_agent_observation(0, i, joint, agents)
-        return {agent: row.copy() for agent, row in zip(self._names, agents[0], strict=True)}
+        agents = np.empty(self._agents_shape)
+        self._write(time, bounds, agents)
+        return {name: agents[0, row] for name, row in self._rows.items()}
 
     def observe_jointly(self, time: float, bounds: tuple[float, float]) -> np.ndarray:
         """Return everything measured once: bodies in scenario order, contacts, time / horizon, robustness interval."""
-        joint = np.empty((1, self.joint_observation_space.shape[0]))
-        measured, felt = self._measured[None], self._contacts[None]
-        write_joint_observation(0, measured, felt, time / self.scenario.horizon, *bounds, joint)
-        return joint[0]
+        return self._write(time, bounds, self._nobody)
 
     def signals(self, states: np.ndarray) -> dict[str, float]:
         """Return the named signals a formula speaks of, for example ``pop.x``."""
@@ -131,9 +136,12 @@ class FreeFlyerTask:
         """Return nothing: a free-flyer is held by nobody."""
         return {}
 
-
-def _clip(action: np.ndarray) -> list[float]:
-    return [-1.0 if u < -1.0 else 1.0 if u > 1.0 else u for u in np.asarray(action, dtype=float).tolist()]
+    def _write(self, time: float, bounds: tuple[float, float], agents: np.ndarray) -> np.ndarray:
+        """Return the joint observation, and write those of the robots for which there is room."""
+        joint = np.empty(self._joint_shape)
+        measured, felt = self._measured[None], self._contacts[None]
+        write_observations(0, measured, felt, time / self._horizon, *bounds, joint, agents)
+        return joint[0]
 
 
 def _unbounded(size: int) -> Box:

@@ -10,6 +10,7 @@ import pytest
 import impact_envs
 from impact_envs import parallel_env, rollout
 from impact_envs.env import EFFORT_WEIGHT
+from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import VELOCITY_WINDOW, read_observations
 from impact_envs.rollout import RandomPolicy, ZeroPolicy
 
@@ -114,6 +115,37 @@ def test_contact_is_felt_by_the_robot_that_hits():
         assert not any(contact.values())
     else:
         pytest.fail("the robot never hit the object")
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        ({"snap": np.zeros(3)}, "actions must name every robot once, not so: crackle"),
+        ({"snap": np.zeros(3), "crackle": np.zeros(3), "plop": np.zeros(3)}, "not so: plop"),
+        ({"snap": np.zeros(3), "crackle": np.array([0.0, np.nan, 0.0])}, r"action of crackle = \[0\.0, nan, 0\.0\]"),
+        ({"snap": np.array([0.0, np.inf, 0.0]), "crackle": np.zeros(3)}, r"action of snap = \[0\.0, inf, 0\.0\]"),
+        ({"snap": np.zeros(2), "crackle": np.zeros(3)}, r"action of snap = \[0\.0, 0\.0\]: three finite numbers"),
+        ({"snap": np.zeros(1), "crackle": np.zeros(1)}, r"action of snap = \[0\.0\]: three finite numbers"),
+        ({"snap": np.zeros((1, 3)), "crackle": np.zeros((1, 3))}, "action of snap = .*: three finite numbers"),
+    ],
+)
+def test_bad_actions_are_said_in_one_line_and_nothing_is_stepped(actions, message):
+    env = parallel_env("throw_and_catch")
+    env.reset(seed=0)
+    with pytest.raises(InputError, match=message) as error:
+        env.step(actions)
+    assert "\n" not in str(error.value)
+    assert env.time == env.model.time == 0.0
+    env.step({agent: np.zeros(3) for agent in env.agents})
+
+
+def test_robots_share_no_memory_in_what_they_observe():
+    env = parallel_env("throw_and_catch")
+    observations, _ = env.reset(seed=0)
+    kept = observations["crackle"].copy()
+    observations["snap"][:] = np.nan
+    assert np.array_equal(observations["crackle"], kept)
+    assert np.all(np.isfinite(env.state()))
 
 
 def test_cut_horizon_reports_what_was_still_certain():
