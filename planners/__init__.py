@@ -40,6 +40,7 @@ EXPERTS = {
 VARIANTS = {
     "dual_arm": ("published", "no_impact_map", "no_interim_phase", "no_synchronisation"),
     "floating_manipulator": ("printed", "measured_base"),
+    "free_flyer": ("one_replan", "paper_expert", "with_learning", "with_retiming", "with_drift"),
 }
 
 
@@ -99,7 +100,7 @@ def make_expert(scenario: str | Path | Scenario, plan: Plan | None = None, varia
             f"the plan is for {plan.scenario} with {', '.join(plan.robots)}; "
             f"scenario {loaded.name} has {', '.join(loaded.agents)}"
         )
-    return getattr(import_module(module), name)(loaded.as_believed(), plan)
+    return getattr(import_module(module), name)(loaded.as_believed(), plan, variant)
 
 
 def list_variants(scenario: Scenario) -> tuple[str, ...]:

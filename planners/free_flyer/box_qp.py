@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from impact_envs.compiled import compiled
 
 NEWTON_STEPS = 30  # 13 were the most in 2000 wild starts of the tracking problem
 HALVINGS = 20
@@ -11,7 +12,7 @@ TOLERANCE = 1e-9  # of the gradient over the free variables
 NOT_SOLVED = -1
 
 
-@njit(cache=True)
+@compiled
 def solve_box_qp(
     H: np.ndarray,
     g: np.ndarray,
@@ -68,7 +69,7 @@ def solve_box_qp(
     return NOT_SOLVED
 
 
-@njit(cache=True)
+@compiled
 def solve_free(H: np.ndarray, d: np.ndarray, free: np.ndarray, L: np.ndarray) -> bool:
     """Replace d by the solution of H d = d over the free variables and by 0 elsewhere, by Cholesky.
 
@@ -110,7 +111,7 @@ def solve_free(H: np.ndarray, d: np.ndarray, free: np.ndarray, L: np.ndarray) ->
     return True
 
 
-@njit(cache=True)
+@compiled
 def search_projected(
     H: np.ndarray,
     g: np.ndarray,

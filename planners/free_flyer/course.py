@@ -1,13 +1,24 @@
-"""Courses: where one robot goes, as its plan read with its own clock plus a quintic; evaluated by compiled code."""
+"""Courses: where one robot goes, as its plan read with its own clock plus a quintic; rows of numbers, compiled.
+
+course(t) = plan(tau(t)) + sum_j c_j (t - since)^j until `end`, tau = clock_tau + rate (t - clock_at), at most `stop`
+"""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from planners.bezier import Curve
+
+# Columns of a course: its clock, then its quintic. IMPACT is 1 if it ends at an impact: it then goes straight on;
+# otherwise the plan goes on.
+CLOCK_AT, CLOCK_TAU, RATE, STOP, IMPACT, SINCE, UNTIL, QUINTIC, COURSE_SIZE = 0, 1, 2, 3, 4, 5, 6, 7, 19
+TIME_ROUND_OFF = 1e-9  # [s]
+# Position, velocity and acceleration [m, m/s, m/s^2].
+Motion = tuple[float, float, float, float, float, float]
 
 
 class PowerCurve(NamedTuple):
@@ -20,30 +31,6 @@ class PowerCurve(NamedTuple):
 
     times: np.ndarray
     coefficients: np.ndarray
-
-
-class Course(NamedTuple):
-    """Where one robot goes: plan(tau(t)) + quintic(t), tau = plan_start + rate (t - start), at most plan_stop.
-
-    Args:
-        plan: the robot's planned curve.
-        start: time at which this course starts [s].
-        plan_start: plan time at the start [s].
-        rate: plan seconds per second.
-        plan_stop: plan time at which the clock stops, the robot's next planned impact [s].
-        quintic: coefficients of (t - start)^j, shape (6, 2) [m/s^j].
-        end: time at which the quintic ends [s].
-        impact: True if the course ends at an impact: it then goes straight on. Otherwise the plan goes on.
-    """
-
-    plan: PowerCurve
-    start: float
-    plan_start: float
-    rate: float
-    plan_stop: float
-    quintic: np.ndarray
-    end: float
-    impact: bool
 
 
 def convert_curve(curve: Curve) -> PowerCurve:
@@ -69,85 +56,213 @@ def convert_curve(curve: Curve) -> PowerCurve:
     return PowerCurve(np.array(curve.times), coefficients)
 
 
-@njit(cache=True)
-def evaluate_curve(curve: PowerCurve, t: float, left: bool, out: np.ndarray) -> None:
-    """Evaluate a piecewise polynomial; outside its span it rests at its ends.
+@compiled
+def evaluate_curve(breaks: np.ndarray, coefficients: np.ndarray, r: int, t: float, left: bool) -> Motion:
+    """Return the motion of robot r's plan; outside its span it rests at its ends.
 
     Args:
-        curve: the curve.
+        breaks, coefficients: of all robots, see ``script.Script``.
+        r: robot.
         t: time [s].
         left: at a breakpoint take the segment before it.
-        out: position, velocity, acceleration, written, shape (3, 2) [m, m/s, m/s^2].
     """
-    times, coefficients = curve.times, curve.coefficients
-    last = len(times) - 2
-    k = 0
-    while k < last and (times[k + 1] < t or (times[k + 1] == t and not left)):
-        k += 1
-    h = times[k + 1] - times[k]
-    s = min(max((t - times[k]) / h, 0.0), 1.0)
-    outside = t < times[0] or t > times[-1]
-    for axis in range(2):
-        p, v, a = 0.0, 0.0, 0.0
-        for j in range(coefficients.shape[1] - 1, -1, -1):
-            a = a * s + 2.0 * v
-            v = v * s + p
-            p = p * s + coefficients[k, j, axis]
-        out[0, axis] = p
-        out[1, axis] = 0.0 if outside else v / h
-        out[2, axis] = 0.0 if outside else a / (h * h)
+    count = breaks.shape[1]
+    while breaks[r, count - 1] == np.inf:
+        count -= 1
+    low, high = 0, count - 1  # the segment's number is in [low, high)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if breaks[r, middle] < t or (breaks[r, middle] == t and not left):
+            low = middle
+        else:
+            high = middle
+    h = breaks[r, low + 1] - breaks[r, low]
+    s = min(max((t - breaks[r, low]) / h, 0.0), 1.0)
+    px, py, vx, vy, ax, ay = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(coefficients.shape[2] - 1, -1, -1):
+        ax, ay = ax * s + 2.0 * vx, ay * s + 2.0 * vy
+        vx, vy = vx * s + px, vy * s + py
+        px, py = px * s + coefficients[r, low, j, 0], py * s + coefficients[r, low, j, 1]
+    if t < breaks[r, 0] or t > breaks[r, count - 1]:
+        return px, py, 0.0, 0.0, 0.0, 0.0
+    return px, py, vx / h, vy / h, ax / (h * h), ay / (h * h)
 
 
-@njit(cache=True)
-def evaluate_course(course: Course, t: float, out: np.ndarray) -> None:
-    """Evaluate a course; after an impact that did not come it goes straight on.
+@compiled
+def read_clock(course: np.ndarray, k: int, r: int, t: float) -> float:
+    """Return the plan's time at time t on the course of robot r in world k, courses of shape (N, r, 19)."""
+    return course[k, r, CLOCK_TAU] + course[k, r, RATE] * (t - course[k, r, CLOCK_AT])
+
+
+@compiled
+def evaluate_course(
+    course: np.ndarray, breaks: np.ndarray, coefficients: np.ndarray, k: int, r: int, t: float
+) -> Motion:
+    """Return the motion of robot r's course in world k; after an impact that did not come it goes straight on.
 
     Args:
-        course: the course.
-        t: time, not before its start [s].
-        out: position, velocity, acceleration, written, shape (3, 2) [m, m/s, m/s^2].
+        course: shape (N, r, 19).
+        breaks, coefficients: of all robots, see ``script.Script``.
+        k: world.
+        r: robot.
+        t: time, not before the course's start [s].
     """
-    now = min(t, course.end) if course.impact else t
-    late = t - now
-    tau = course.plan_start + course.rate * (now - course.start)
-    stopped = tau > course.plan_stop + 1e-9 and not course.impact
-    evaluate_curve(course.plan, min(tau, course.plan_stop), tau >= course.plan_stop - 1e-9, out)
-    rate = 0.0 if stopped else course.rate
-    s = now - course.start
-    for axis in range(2):
-        out[1, axis] *= rate
-        out[2, axis] *= rate * rate
-        if now <= course.end:
-            p, v, a = 0.0, 0.0, 0.0
-            for j in range(5, -1, -1):
-                a = a * s + 2.0 * v
-                v = v * s + p
-                p = p * s + course.quintic[j, axis]
-            out[0, axis] += p
-            out[1, axis] += v
-            out[2, axis] += a
-        if late > 0.0:
-            out[0, axis] += late * out[1, axis]
-            out[2, axis] = 0.0
+    impact, until = course[k, r, IMPACT] > 0.0, course[k, r, UNTIL]
+    now = min(t, until) if impact else t
+    tau, stop, rate = read_clock(course, k, r, now), course[k, r, STOP], course[k, r, RATE]
+    stopped = tau > stop + TIME_ROUND_OFF and not impact
+    px, py, vx, vy, ax, ay = evaluate_curve(breaks, coefficients, r, min(tau, stop), tau >= stop - TIME_ROUND_OFF)
+    if stopped:
+        rate = 0.0
+    vx, vy, ax, ay = vx * rate, vy * rate, ax * rate * rate, ay * rate * rate
+    if now <= until:
+        s = now - course[k, r, SINCE]
+        qx, qy, ux, uy, wx, wy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(5, -1, -1):
+            wx, wy = wx * s + 2.0 * ux, wy * s + 2.0 * uy
+            ux, uy = ux * s + qx, uy * s + qy
+            qx, qy = qx * s + course[k, r, QUINTIC + 2 * j], qy * s + course[k, r, QUINTIC + 2 * j + 1]
+        px, py, vx, vy, ax, ay = px + qx, py + qy, vx + ux, vy + uy, ax + wx, ay + wy
+    if t > now:
+        return px + (t - now) * vx, py + (t - now) * vy, vx, vy, 0.0, 0.0
+    return px, py, vx, vy, ax, ay
 
 
-def fit_quintic(duration: float, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return the polynomial of degree five between two states.
+@compiled
+def fit_quintic(course: np.ndarray, k: int, r: int, begin: Motion, end: Motion) -> None:
+    """Write the polynomial of degree five between two motions into a course, from its SINCE to its UNTIL.
 
     Args:
-        duration: T [s].
-        begin, end: position, velocity, acceleration at 0 and T, shape (3, 2) [m, m/s, m/s^2].
-
-    Returns:
-        Coefficients of t^j, shape (6, 2).
+        course: shape (N, r, 19).
+        k: world.
+        r: robot.
+        begin, end: at SINCE and UNTIL.
     """
-    T = duration
-    c = np.zeros((6, 2))
-    c[0], c[1], c[2] = begin[0], begin[1], begin[2] / 2
-    p = (end[0] - (c[0] + T * (c[1] + T * c[2]))) / T**3
-    v = (end[1] - (c[1] + 2 * T * c[2])) / T**2
-    a = (end[2] - 2 * c[2]) / T
-    c[3] = 10 * p - 4 * v + a / 2
-    c[4] = (-15 * p + 7 * v - a) / T
-    c[5] = (6 * p - 3 * v + a / 2) / T**2
-    return c
+    T = course[k, r, UNTIL] - course[k, r, SINCE]
+    for axis in range(2):
+        c0, c1, c2 = begin[axis], begin[2 + axis], begin[4 + axis] / 2
+        p = (end[axis] - (c0 + T * (c1 + T * c2))) / T**3
+        v = (end[2 + axis] - (c1 + 2 * T * c2)) / T**2
+        a = (end[4 + axis] - 2 * c2) / T
+        row = QUINTIC + axis
+        course[k, r, row], course[k, r, row + 2], course[k, r, row + 4] = c0, c1, c2
+        course[k, r, row + 6] = 10 * p - 4 * v + a / 2
+        course[k, r, row + 8] = (-15 * p + 7 * v - a) / T
+        course[k, r, row + 10] = (6 * p - 3 * v + a / 2) / T**2
+
+
+@compiled
+def subtract(a: Motion, b: Motion) -> Motion:
+    """Return the difference of two motions."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3], a[4] - b[4], a[5] - b[5]
+
+
+@compiled
+def set_clock(
+    course: np.ndarray, k: int, r: int, now: float, tau: float, time: float, planned: float, fastest: float
+) -> None:
+    """Set the clock of a course so that the plan stands at an event when the event is expected, and stops there.
+
+    rate = (planned - tau) / (time - now), at most `fastest`
+
+    Args:
+        course: shape (N, r, 19).
+        k: world.
+        r: robot.
+        now: present time [s].
+        tau: plan's time now [s].
+        time: of the event, expected [s].
+        planned: of the event in the plan [s].
+        fastest: plan seconds per second; more would force the end pose within the few seconds left.
+    """
+    tau = min(tau, planned)
+    rate = 1.0
+    if time > now and planned > tau:
+        rate = min((planned - tau) / (time - now), fastest)
+    course[k, r, CLOCK_AT], course[k, r, CLOCK_TAU] = now, tau
+    course[k, r, RATE], course[k, r, STOP] = rate, planned
+
+
+@compiled
+def approach(
+    course: np.ndarray,
+    breaks: np.ndarray,
+    coefficients: np.ndarray,
+    k: int,
+    r: int,
+    now: float,
+    begin: Motion,
+    contact: tuple[float, float],
+    velocity: tuple[float, float],
+    time: float,
+    planned: float,
+) -> None:
+    """Plan the course to an impact: plan + quintic from a motion to contact and velocity at the time of impact.
+
+    Args:
+        course: shape (N, r, 19).
+        breaks, coefficients: of all robots, see ``script.Script``.
+        k: world.
+        r: robot.
+        now: present time [s].
+        begin: motion to start from.
+        contact: where to be [m].
+        velocity: how fast to be there [m/s].
+        time: of the impact, after now [s].
+        planned: plan's time of the impact; at or before the plan's present time the plan stands still [s].
+
+    Source: Verhagen & Tumova, Eq. 29, with a quintic correction in place of the QP.
+    """
+    tau = min(read_clock(course, k, r, now), course[k, r, STOP])
+    still = planned <= tau
+    set_clock(course, k, r, now, tau, time, tau if still else planned, math.inf)
+    course[k, r, RATE] = 0.0 if still else course[k, r, RATE]
+    course[k, r, IMPACT], course[k, r, SINCE], course[k, r, UNTIL] = 1.0, now, time
+    for i in range(QUINTIC, COURSE_SIZE):
+        course[k, r, i] = 0.0
+    base = evaluate_course(course, breaks, coefficients, k, r, now)
+    end = evaluate_course(course, breaks, coefficients, k, r, time)
+    target = (contact[0], contact[1], velocity[0], velocity[1], end[4], end[5])
+    fit_quintic(course, k, r, subtract(begin, base), subtract(target, end))
+
+
+@compiled
+def return_to_plan(
+    course: np.ndarray,
+    breaks: np.ndarray,
+    coefficients: np.ndarray,
+    k: int,
+    r: int,
+    now: float,
+    begin: tuple[float, float, float, float],
+    tau: float,
+    time: float,
+    planned: float,
+    longest: float,
+    fastest: float,
+) -> None:
+    """Plan the course back to the plan, in half the time to the next event or less.
+
+    Args:
+        course: shape (N, r, 19).
+        breaks, coefficients: of all robots, see ``script.Script``.
+        k: world.
+        r: robot.
+        now: present time [s].
+        begin: position and velocity to start from, with the plan's acceleration [m, m/s].
+        tau: plan's time that belongs to the present [s].
+        time, planned: of the robot's next impact or of the horizon, expected and in the plan [s].
+        longest: duration of the quintic at most [s].
+        fastest: plan seconds per second at most.
+    """
+    set_clock(course, k, r, now, tau, time, planned, fastest)
+    course[k, r, IMPACT], course[k, r, SINCE] = 0.0, now
+    course[k, r, UNTIL] = now + max(min(longest, (time - now) / 2), SHORTEST_RETURN)
+    for i in range(QUINTIC, COURSE_SIZE):
+        course[k, r, i] = 0.0
+    base = evaluate_course(course, breaks, coefficients, k, r, now)
+    offset = (begin[0] - base[0], begin[1] - base[1], begin[2] - base[2], begin[3] - base[3], 0.0, 0.0)
+    fit_quintic(course, k, r, offset, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+
+SHORTEST_RETURN = 1.0  # [s]

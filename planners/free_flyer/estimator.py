@@ -7,51 +7,48 @@ one covariance. A filter is a row [px, py, vx, vy, ax, ay, Ppp, Ppv, Ppa, Pvv, P
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from impact_envs.free_flyer.observation import Measurement
-from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.compiled import compiled
+from impact_envs.free_flyer.sensing import BODY_SIZE
+from planners.free_flyer.options import Options
+from planners.free_flyer.progress import (
+    APPROACH,
+    FACTOR,
+    NO_MEASUREMENT,
+    NOBODY,
+    SAMPLES,
+    SIGMA,
+    SQUARE,
+    UNKNOWN,
+    WEIGHT,
+    Progress,
+)
+from planners.free_flyer.script import HOME, MASS, RADIUS, START_X, START_Y, Script
 from planners.free_flyer.two_body import compute_velocity_gain
 
-FILTER_SIZE = 12
 NEAR = 0.1  # a felt impact is blamed on a body closer than this gap [m]
 UNTRUSTED_JUMP = 0.5  # standard deviation of a modelled velocity jump, relative to its size
 UNKNOWN_JUMP = 0.002  # the same, at least [m/s]
+UNSEEN_JUMP = 0.05  # of a robot that felt an impact with nothing near [m/s]
 START_POSITION = 1e-3  # bodies start where the scenario says [m]
 START_VELOCITY = 1e-4  # and at rest [m/s]; knowing this makes a small drift visible early
 SURPRISE = 6.0  # standard deviations, and
 SURPRISE_FLOOR = 2e-3  # [m] beyond which a position tells of an unseen event, such as a bounce off a wall
+# What the filters believe of sensors and disturbances, as standard deviations.
+POSITION_PRIOR = 5e-3  # of measured positions until it is estimated [m]
+POSITION_FLOOR = 1e-7  # of measured positions, at least [m]
+# Of measured velocities over that of positions per control period; a velocity that comes from differences of noisy
+# positions then hardly counts, an exact one counts fully.
+VELOCITY_RATIO = 100.0
+MEMORY = 50.0  # samples over which the position noise is estimated
+THRUST = 4e-3  # unmodelled acceleration of robots [m/s^2]
+FLIGHT = 1e-5  # unmodelled acceleration of objects [m/s^2]
+DRIFT = 5e-4  # constant acceleration of an object [m/s^2]
 
 
-@dataclass(frozen=True)
-class Noise:
-    """What the filters believe of sensors and disturbances, as standard deviations.
-
-    Args:
-        position_prior: of measured positions until it is estimated [m].
-        position_floor: of measured positions, at least [m].
-        velocity_ratio: of measured velocities over that of positions per control period; a velocity that comes
-            from differences of noisy positions then hardly counts, an exact one counts fully.
-        memory: samples over which the position noise is estimated.
-        thrust: unmodelled acceleration of robots [m/s^2].
-        flight: unmodelled acceleration of objects [m/s^2].
-        drift: constant acceleration of an object [m/s^2].
-    """
-
-    position_prior: float = 5e-3
-    position_floor: float = 1e-7
-    velocity_ratio: float = 100.0
-    memory: float = 50.0
-    thrust: float = 4e-3
-    flight: float = 1e-5
-    drift: float = 5e-4
-
-
-@njit(cache=True)
+@compiled
 def predict(z: np.ndarray, ux: float, uy: float, h: float, unmodelled: float) -> None:
     """Move a filter ahead in place: p += h v + h^2/2 (a + u), v += h (a + u).
 
@@ -74,7 +71,7 @@ def predict(z: np.ndarray, ux: float, uy: float, h: float, unmodelled: float) ->
     z[10] = va + h * aa
 
 
-@njit(cache=True)
+@compiled
 def correct_position(z: np.ndarray, x: float, y: float, variance: float) -> None:
     """Update a filter in place by a measured position.
 
@@ -96,7 +93,7 @@ def correct_position(z: np.ndarray, x: float, y: float, variance: float) -> None
     z[6], z[7], z[8] = pp * (variance / total), pv * (variance / total), pa * (variance / total)
 
 
-@njit(cache=True)
+@compiled
 def correct_velocity(z: np.ndarray, vx: float, vy: float, variance: float) -> None:
     """Update a filter in place by a measured velocity.
 
@@ -118,7 +115,7 @@ def correct_velocity(z: np.ndarray, vx: float, vy: float, variance: float) -> No
     z[7], z[9], z[10] = pv * (variance / total), vv * (variance / total), va * (variance / total)
 
 
-@njit(cache=True)
+@compiled
 def shift(z: np.ndarray, px: float, py: float, vx: float, vy: float, sigma_p: float, sigma_v: float) -> None:
     """Add a jump to a filter in place and open its covariance.
 
@@ -136,159 +133,152 @@ def shift(z: np.ndarray, px: float, py: float, vx: float, vy: float, sigma_p: fl
     z[9] += sigma_v * sigma_v
 
 
-class Estimator:
-    """Estimate positions and velocities of all bodies from their measurements.
+@compiled
+def open_filters(script: Script, progress: Progress, options: Options, k: int) -> None:
+    """Start world k's estimates where the scenario says, at rest."""
+    for i in range(len(script.body)):
+        z = progress.filter[k, i]
+        for column in range(len(z)):
+            z[column] = 0.0
+        z[0], z[1] = script.body[i, START_X], script.body[i, START_Y]
+        z[6], z[9] = START_POSITION * START_POSITION, START_VELOCITY * START_VELOCITY
+        if options.drift and i >= script.robots:
+            z[11] = DRIFT * DRIFT
+        progress.heading[k, i, 0], progress.heading[k, i, 1] = script.body[i, HOME], 0.0
+    progress.sensor[k, SIGMA], progress.sensor[k, WEIGHT] = POSITION_PRIOR, 0.0
+    progress.sensor[k, SQUARE], progress.sensor[k, SAMPLES] = 0.0, 0.0
+
+
+@compiled
+def update_estimates(script: Script, progress: Progress, k: int, joint: np.ndarray, now: float) -> None:
+    """Take in one sample of world k: move all filters ahead, apply felt impacts, correct by what was measured.
 
     How noisy positions are is learned from the objects: between contacts their acceleration is constant, so the third
-    difference of their positions is pure noise of variance 20 sigma^2.
+    difference of their positions is pure noise of variance 20 sigma^2. Measurements that are not finite are passed
+    over.
 
     Args:
-        scenario: as believed.
-        noise: what the filters believe.
+        script: what is believed.
+        progress: of all worlds; ``touch`` says afterwards who was hit.
+        k: world.
+        joint: everything measured once, shape (N, 7 n + r + 3).
+        now: time of the sample [s].
     """
+    h, n, r = now - progress.time[k], len(script.body), script.robots
+    progress.time[k] = now
+    for i in range(n):
+        ux, uy = (progress.push[k, i, 0], progress.push[k, i, 1]) if i < r else (0.0, 0.0)
+        predict(progress.filter[k, i], ux, uy, h, THRUST if i < r else FLIGHT)
+    calm = True
+    for i in range(r):
+        progress.touch[k, i] = NOBODY
+        if joint[k, BODY_SIZE * n + i] > 0.5:
+            calm = False
+            other = find_nearest(script, progress, k, i)
+            progress.touch[k, i] = other
+            if other == UNKNOWN:
+                shift(progress.filter[k, i], 0.0, 0.0, 0.0, 0.0, UNSEEN_JUMP * h, UNSEEN_JUMP)
+            else:
+                apply_impact(script, progress, k, i, other, h)
+    variance = progress.sensor[k, SIGMA] * progress.sensor[k, SIGMA]
+    for i in range(n):
+        z, at = progress.filter[k, i], BODY_SIZE * i
+        miss = math.hypot(joint[k, at] - z[0], joint[k, at + 1] - z[1])
+        if miss > SURPRISE * math.sqrt(z[6] + variance) + SURPRISE_FLOOR:
+            shift(z, 0.0, 0.0, 0.0, 0.0, miss, miss / script.period)
+            calm = False
+    learn_noise(progress, k, joint, r, calm)
+    variance = progress.sensor[k, SIGMA] * progress.sensor[k, SIGMA]
+    slow = VELOCITY_RATIO / script.period
+    for i in range(n):
+        z, at, total = progress.filter[k, i], BODY_SIZE * i, 0.0
+        for j in range(BODY_SIZE):
+            total += joint[k, at + j]
+        if not math.isfinite(total):
+            progress.counts[k, NO_MEASUREMENT] += 1
+            continue
+        correct_position(z, joint[k, at], joint[k, at + 1], variance)
+        correct_velocity(z, joint[k, at + 2], joint[k, at + 3], slow * slow * variance)
+        # The measured angle is only known up to whole turns.
+        turn = math.atan2(joint[k, at + 5], joint[k, at + 4]) - script.body[i, HOME]
+        turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+        progress.heading[k, i, 0], progress.heading[k, i, 1] = script.body[i, HOME] + turn, joint[k, at + 6]
 
-    def __init__(self, scenario: FreeFlyerScenario, noise: Noise = Noise()) -> None:
-        self.scenario = scenario
-        self.noise = noise
-        self.reset()
 
-    def reset(self) -> None:
-        """Forget the last episode."""
-        self.time = 0.0
-        self.sigma = self.noise.position_prior
-        self._filters = {name: self._open(name) for name in self.scenario.bodies}
-        self._heading = {name: (self.scenario.body(name).heading, 0.0) for name in self.scenario.bodies}
-        self._recent: list[dict[str, np.ndarray]] = []
-        self._weight = self._square = 0.0
+@compiled
+def find_nearest(script: Script, progress: Progress, k: int, i: int) -> int:
+    """Return the body nearest to robot i, UNKNOWN if none is near."""
+    best, found, z = NEAR, UNKNOWN, progress.filter[k, i]
+    for j in range(len(script.body)):
+        if j != i:
+            y = progress.filter[k, j]
+            gap = math.hypot(y[0] - z[0], y[1] - z[1]) - script.body[i, RADIUS] - script.body[j, RADIUS]
+            if gap < best:
+                best, found = gap, j
+    return found
 
-    def update(self, measurement: Measurement, accelerations: Mapping[str, tuple[float, float]]) -> dict[str, str]:
-        """Take in one measurement.
 
-        Args:
-            measurement: of all bodies; values that are not finite are passed over.
-            accelerations: of the robots in the world frame since the last measurement [m/s^2].
+@compiled
+def apply_impact(script: Script, progress: Progress, k: int, i: int, j: int, h: float) -> None:
+    """Apply Eq. 6 to the estimates; how deep free flight would have overlapped says how long ago it was."""
+    a, b = progress.filter[k, i], progress.filter[k, j]
+    x, y = b[0] - a[0], b[1] - a[1]
+    distance = math.hypot(x, y)
+    nx, ny = (x / distance, y / distance) if distance > 0 else (1.0, 0.0)
+    approach = max((a[2] - b[2]) * nx + (a[3] - b[3]) * ny, 0.0)
+    reach = script.body[i, RADIUS] + script.body[j, RADIUS]
+    ago = min(max(reach - distance, 0.0) / approach, h) if approach > 0.0 else 0.0
+    m_a, m_b = script.body[i, MASS], script.body[j, MASS]
+    gain = compute_velocity_gain(script.restitution, m_a, m_b)
+    if j >= script.robots:
+        progress.hit[k, j - script.robots, APPROACH] = gain * approach
+        gain *= progress.hit[k, j - script.robots, FACTOR]
+    for body in (0, 1):
+        change = gain * approach if body == 0 else -gain * approach * m_b / m_a
+        sigma = UNTRUSTED_JUMP * abs(change) + UNKNOWN_JUMP
+        dx, dy = change * nx, change * ny
+        shift(b if body == 0 else a, ago * dx, ago * dy, dx, dy, sigma * h, sigma)
 
-        Returns:
-            Who was hit: robot that felt an impact to the object or robot it touched, or to "" if it touched neither.
-        """
-        measured = measurement.robots | measurement.objects
-        h = measurement.time - self.time
-        self.time = measurement.time
-        for name, z in self._filters.items():
-            unmodelled = self.noise.thrust if name in self.scenario.robots else self.noise.flight
-            predict(z, *accelerations.get(name, (0.0, 0.0)), h, unmodelled)
-        touched = self._take_contacts(measurement, h)
-        surprised = [self._open_if_surprised(name, state) for name, state in measured.items()]
-        self._learn_noise(measurement, skip=bool(touched) or any(surprised))
-        variance, variance_v = self._variances()
-        for name, state in measured.items():
-            if np.isfinite(state).all():
-                correct_position(self._filters[name], state[0], state[1], variance)
-                correct_velocity(self._filters[name], state[2], state[3], variance_v)
-                self._heading[name] = float(state[4]), float(state[5])
-        return touched
 
-    def position(self, name: str) -> np.ndarray:
-        """Return the estimated position of a body, shape (2,) [m]."""
-        return self._filters[name][0:2].copy()
+@compiled
+def learn_noise(progress: Progress, k: int, joint: np.ndarray, robots: int, calm: bool) -> None:
+    """Take the third difference of the objects' positions into the estimate of the noise, unless something happened."""
+    sensor, objects = progress.sensor[k], progress.recent.shape[1]
+    samples = sensor[SAMPLES] if calm else 0.0
+    for o in range(objects):
+        recent, at = progress.recent[k, o], BODY_SIZE * (robots + o)
+        x, y = joint[k, at], joint[k, at + 1]
+        if samples >= 3.0:
+            dx = x - 3.0 * recent[4] + 3.0 * recent[2] - recent[0]
+            dy = y - 3.0 * recent[5] + 3.0 * recent[3] - recent[1]
+            square = dx * dx + dy * dy
+            if math.isfinite(square):
+                keep = 1.0 - 1.0 / MEMORY
+                sensor[WEIGHT] = keep * sensor[WEIGHT] + 1.0
+                sensor[SQUARE] = keep * sensor[SQUARE] + square / 40.0
+        for i in range(4):
+            recent[i] = recent[i + 2]
+        recent[4], recent[5] = x, y
+    # The sample that came with the event is not kept.
+    sensor[SAMPLES] = min(samples + 1.0, 3.0) if calm else 0.0
+    if sensor[WEIGHT] > 5.0:
+        sensor[SIGMA] = max(math.sqrt(sensor[SQUARE] / sensor[WEIGHT]), POSITION_FLOOR)
 
-    def velocity(self, name: str) -> np.ndarray:
-        """Return the estimated velocity of a body, shape (2,) [m/s]."""
-        return self._filters[name][2:4].copy()
 
-    def drift(self, name: str) -> np.ndarray:
-        """Return the estimated constant acceleration of a body, shape (2,) [m/s^2]."""
-        return self._filters[name][4:6].copy()
+@compiled
+def extrapolate(progress: Progress, k: int, i: int, time: float) -> tuple[float, float, float, float]:
+    """Return position and velocity of body i in free flight at a time.
 
-    def state(self, name: str) -> np.ndarray:
-        """Return the estimated [x, y, heading, vx, vy, omega] of a body, shape (6,) [m, rad, m/s, rad/s]."""
-        (x, y, vx, vy), (heading, omega) = self._filters[name][:4], self._heading[name]
-        return np.array([x, y, heading, vx, vy, omega])
+    Source: Verhagen & Tumova, Sec. VI, with the estimated drift added.
+    """
+    z, h = progress.filter[k, i], time - progress.time[k]
+    x, y = z[0] + h * (z[2] + h / 2 * z[4]), z[1] + h * (z[3] + h / 2 * z[5])
+    return x, y, z[2] + h * z[4], z[3] + h * z[5]
 
-    def extrapolate(self, name: str, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Predict the free flight of a body.
 
-        Args:
-            name: of the body.
-            time: of the prediction [s].
-
-        Returns:
-            Position and velocity at that time, shapes (2,) [m], [m/s].
-
-        Source: Verhagen & Tumova, Sec. VI, with the estimated drift added.
-        """
-        z, h = self._filters[name], time - self.time
-        return z[0:2] + h * (z[2:4] + h / 2 * z[4:6]), z[2:4] + h * z[4:6]
-
-    def _open(self, name: str) -> np.ndarray:
-        z = np.zeros(FILTER_SIZE)
-        z[0:2] = self.scenario.body(name).start
-        z[6], z[9] = START_POSITION**2, START_VELOCITY**2
-        z[11] = self.noise.drift**2 if name in self.scenario.objects else 0.0
-        return z
-
-    def _take_contacts(self, measurement: Measurement, h: float) -> dict[str, str]:
-        touched = {}
-        for robot, felt in measurement.contact.items():
-            if felt:
-                other = self._nearest(robot)
-                touched[robot] = other
-                if other:
-                    self._apply_impact(robot, other, h)
-                else:
-                    shift(self._filters[robot], 0.0, 0.0, 0.0, 0.0, 0.05 * h, 0.05)
-        return touched
-
-    def _nearest(self, robot: str) -> str:
-        gaps = {
-            name: math.dist(self._filters[name][:2], self._filters[robot][:2]) - self._reach(robot, name)
-            for name in self._filters
-            if name != robot
-        }
-        nearest = min(gaps, key=gaps.__getitem__, default="")
-        return nearest if nearest and gaps[nearest] < NEAR else ""
-
-    def _apply_impact(self, robot: str, other: str, h: float) -> None:
-        """Apply Eq. 6 to the estimates; how deep free flight would have overlapped says how long ago it was."""
-        a, b = self._filters[robot], self._filters[other]
-        between = b[:2] - a[:2]
-        distance = math.hypot(*between)
-        n = between / distance if distance > 0 else np.array([1.0, 0.0])
-        approach = max(float((a[2:4] - b[2:4]) @ n), 0.0)
-        ago = min(max(self._reach(robot, other) - distance, 0.0) / approach, h) if approach > 0 else 0.0
-        m_a, m_b = self.scenario.body(robot).mass, self.scenario.body(other).mass
-        jump = compute_velocity_gain(self.scenario.believed.restitution, m_a, m_b) * approach
-        for z, change in ((b, jump), (a, -jump * m_b / m_a)):
-            sigma = UNTRUSTED_JUMP * abs(change) + UNKNOWN_JUMP
-            dx, dy = change * n
-            shift(z, ago * dx, ago * dy, dx, dy, sigma * h, sigma)
-
-    def _reach(self, a: str, b: str) -> float:
-        return self.scenario.body(a).radius + self.scenario.body(b).radius
-
-    def _variances(self) -> tuple[float, float]:
-        """Return the variances of measured positions [m^2] and velocities [m^2/s^2]."""
-        sigma_v = self.noise.velocity_ratio * self.sigma / self.scenario.control_period
-        return self.sigma**2, sigma_v**2
-
-    def _open_if_surprised(self, name: str, state: np.ndarray) -> bool:
-        """Open a filter that a measurement does not fit at all, and return whether it was so."""
-        z, miss = self._filters[name], math.dist(state[:2], self._filters[name][:2])
-        if not miss > SURPRISE * math.sqrt(z[6] + self._variances()[0]) + SURPRISE_FLOOR:
-            return False
-        shift(z, 0.0, 0.0, 0.0, 0.0, miss, miss / self.scenario.control_period)
-        return True
-
-    def _learn_noise(self, measurement: Measurement, skip: bool) -> None:
-        self._recent = [] if skip else [*self._recent[-3:], measurement.objects]
-        if len(self._recent) < 4:
-            return
-        keep = 1.0 - 1.0 / self.noise.memory
-        for name in measurement.objects:
-            a, b, c, d = (sample[name][:2] for sample in self._recent)
-            squares = float(np.sum((d - 3 * c + 3 * b - a) ** 2))
-            if math.isfinite(squares):
-                self._weight = keep * self._weight + 1.0
-                self._square = keep * self._square + squares / 40.0
-        if self._weight > 5.0:
-            self.sigma = max(math.sqrt(self._square / self._weight), self.noise.position_floor)
+@compiled
+def compute_variance(progress: Progress, k: int, i: int, time: float) -> float:
+    """Return the variance per axis of where body i is in free flight at a time [m^2]."""
+    z, h = progress.filter[k, i], time - progress.time[k]
+    pp, pv, pa, vv, va, aa = z[6], z[7], z[8], z[9], z[10], z[11]
+    return pp + 2 * h * pv + h * h * (pa + vv) + h**3 * va + h**4 / 4 * aa

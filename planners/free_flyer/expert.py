@@ -1,40 +1,40 @@
-"""The free-flyers' expert: plan, estimate, replan the course to every impact, track it by MPC."""
+"""The free-flyers' expert: plan, estimate, retime and replan the course to every impact, track it by MPC."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Mapping
+from typing import Any, cast
 
 import numpy as np
 
-from impact_envs.errors import InputError
-from impact_envs.free_flyer.observation import Measurement, read_observations
-from impact_envs.free_flyer.schema import Body, FreeFlyerScenario
+from impact_envs.compiled import announce
+from impact_envs.errors import InputError, choices
+from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, observed_order
+from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.rollout import Diagnostics
-from planners.free_flyer.course import Course, convert_curve, evaluate_course
-from planners.free_flyer.estimator import Estimator
-from planners.free_flyer.replanner import (
-    compute_desired_velocity,
-    follow_plan,
-    plan_approach,
-    plan_return,
-    sample_reference,
+from planners.free_flyer.loop import CONTROL, OBSERVE, START, run_experts
+from planners.free_flyer.options import EXPERT, VARIANTS, Options
+from planners.free_flyer.progress import (
+    COUNTERS,
+    IMPACT_INDEX,
+    INSERTED,
+    RATIO,
+    SCALE,
+    SEEN,
+    TIME,
+    TURN,
+    make_progress,
 )
-from planners.free_flyer.schedule import Schedule, Strike
-from planners.free_flyer.tracking import Tracker, build_tracking_problem
-from planners.free_flyer.two_body import compute_velocity_gain, solve_two_body_impact
+from planners.free_flyer.script import END, PLACE_X, PLACE_Y, ROBOT, make_script
+from planners.free_flyer.strike import aim, extrapolate, find_next_knot
+from planners.free_flyer.tracking import make_workspace
 from planners.plan import Plan
 
-LOST = 0.1  # tracking error above which a course starts from the estimated state [m]
-SCALE_RANGE = 0.5  # of the logarithm of the impulse, at correction 1
-ROTATION_RANGE = 0.3  # of the impulse, at correction 1 [rad]
-SHORTEST_LEG = 5.0  # a delayed impact does not make the object faster than for a leg of this duration [s]
-# An unknown restitution errs the same way at the first and the last impact, so its effects on position and velocity
-# partly cancel: the last impact corrects the whole deviation only if as much time is left [s],
-FULL_CORRECTION = 15.0
-SAME_SIDE = 0.5  # and nothing of it if the impulse had to turn from the planned normal by more than this cosine
 ONE_HOT = 6
+# What is no fallback of the expert but its daily work.
+ROUTINE = ("replans", "retimed")
 
 
 def check_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:
@@ -57,16 +57,32 @@ def check_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:
         raise InputError(f"the plan lasts {plan.horizon:g} s, scenario {scenario.name} lasts {scenario.horizon:g} s")
 
 
+def get_options(variant: str | None) -> Options:
+    """Return the parts of the closed loop that a variant has; all of them without one.
+
+    Raises:
+        InputError: unknown variant.
+    """
+    if variant is None:
+        return EXPERT
+    if variant not in VARIANTS:
+        raise InputError(f"variant '{variant}' is unknown; {choices(variant, VARIANTS)}")
+    return VARIANTS[variant]
+
+
 class FreeFlyerExpert:
     """Execute a plan in closed loop: a Policy that also takes a correction of every impulse.
 
-    Per control step: estimate; on a contact return to the plan; in the last 20 s before an impact replan the
+    Per control step: estimate; after a contact return to the plan and learn what the impact did; move the next impact
+    to when the object will be where it should be hit, or insert one; in the last 20 s before an impact replan the
     course to it from the predicted object; track by MPC. Everything is computed from the believed physics, the plan
-    and observations.
+    and observations. One world of `loop.run_experts`.
 
     Args:
         scenario: its true physics are not looked at.
         plan: to execute.
+        variant: of `options.VARIANTS`, what the expert is compared with; the expert itself without.
+        options: parts of the loop, instead of a variant's.
 
     Attributes:
         name: of the policy.
@@ -74,28 +90,32 @@ class FreeFlyerExpert:
         plan: that is executed.
 
     Raises:
-        InputError: the plan is for other bodies or another horizon.
+        InputError: the plan is for other bodies or another horizon, or the variant is unknown.
 
     Source: Verhagen & Tumova, Secs. VI and VII.
     """
 
-    name = "expert"
     correction_size = 2
     feature_size = ONE_HOT + 17
 
-    def __init__(self, scenario: FreeFlyerScenario, plan: Plan) -> None:
+    def __init__(
+        self, scenario: FreeFlyerScenario, plan: Plan, variant: str | None = None, options: Options | None = None
+    ) -> None:
         check_plan(scenario, plan)
-        self.plan = plan
+        announce(run_experts)
+        self.name, self.plan = variant or "expert", plan
+        self.options = get_options(variant) if options is None else options
         self._scenario = scenario.as_believed()
-        self._estimator = Estimator(self._scenario)
-        self._schedule = Schedule(plan)
-        self._trackers = {
-            name: Tracker(build_tracking_problem(robot, scenario.control_period))
-            for name, robot in scenario.robots.items()
-        }
-        self._curves = {name: convert_curve(plan.robots[name]) for name in scenario.robots}
+        self.script = make_script(self._scenario, plan)
+        self.progress, self.workspace = make_progress(self.script, 1), make_workspace()
+        robots, bodies = len(scenario.robots), len(scenario.bodies)
+        self._joint = np.zeros((1, BODY_SIZE * bodies + robots + TAIL_SIZE - 1))
+        self._actions, self._due = np.zeros((1, robots, 3)), np.full(1, END)
+        self._arrays = (tuple(self.script), tuple(self.progress), tuple(self.options), tuple(self.workspace))
+        place = {name: i for i, name in enumerate(scenario.bodies)}
+        self._order = [place[name] for name in observed_order(scenario, scenario.agents[0])]
         self.reset(0)
-        self._warm_up()
+        self.control()  # no control step has to wait for the compiler
         self.reset(0)
 
     def reset(self, seed: int) -> None:
@@ -104,16 +124,8 @@ class FreeFlyerExpert:
         Args:
             seed: unused, the expert is deterministic.
         """
-        self._now = self._seconds = 0.0
-        self._diagnostics = Diagnostics()
-        self._estimator.reset()
-        self._schedule.reset()
-        self._accelerations: dict[str, tuple[float, float]] = {}
-        self._awaiting: Strike | None = None
-        self._courses: dict[str, Course] = {}
-        for name, tracker in self._trackers.items():
-            tracker.reset()
-            self._courses[name] = follow_plan(self._curves[name], self._schedule.next_impact(name)[1])
+        self._seconds, self._solve_seconds = 0.0, list[float]()
+        self._run(START)
 
     def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return each robot's action in [-1, 1], shape (3,), from its observation."""
@@ -122,7 +134,10 @@ class FreeFlyerExpert:
 
     def diagnostics(self) -> Diagnostics:
         """Return computing times, fallbacks and replans since reset."""
-        return self._diagnostics
+        counts = dict(zip(COUNTERS, self.progress.counts[0].tolist(), strict=True))
+        found = Diagnostics(list(self._solve_seconds), replans=counts["replans"])
+        found.fallbacks.update({name: n for name, n in counts.items() if n and name not in ROUTINE})
+        return found
 
     def observe(self, observations: Mapping[str, np.ndarray]) -> None:
         """Update the estimates, take note of contacts and missed impacts, and see whether a correction is due.
@@ -131,24 +146,22 @@ class FreeFlyerExpert:
             observations: robot to its observation.
         """
         begin = time.perf_counter()
-        measurement = read_observations(self._scenario, observations)
-        before = {name: self._estimator.velocity(name) for name in self._scenario.objects}
-        touched = self._estimator.update(measurement, self._accelerations)
-        self._now = measurement.time
-        for robot, other in touched.items():
-            self._take_contact(robot, other, before)
-        for strike, again in self._schedule.take_misses(self._now):
-            self._diagnostics.fallbacks["retry" if again else "give_up"] += 1
-            if not again:
-                self._return(strike.planned.robot, strike.planned.time)
-        self._schedule.observe_hits({name: self._estimator.velocity(name) for name in before}, self._now)
-        self._awaiting = self._schedule.find_due(self._now)
+        joint, agents = self._joint[0], self._scenario.agents
+        bodies = BODY_SIZE * len(self._order)
+        blocks = joint[:bodies].reshape(-1, BODY_SIZE)
+        first = observations[agents[0]]
+        blocks[self._order] = first[:bodies].reshape(-1, BODY_SIZE)
+        for i, name in enumerate(agents):
+            blocks[i] = observations[name][:BODY_SIZE]
+            joint[bodies + i] = observations[name][-TAIL_SIZE]
+        joint[bodies + len(agents) :] = first[-TAIL_SIZE + 1 :]
+        self._run(OBSERVE)
         self._seconds = time.perf_counter() - begin
 
     @property
     def awaiting_correction(self) -> bool:
         """Return whether the next `control` will use up a new correction; once per planned impact."""
-        return self._awaiting is not None
+        return bool(self._due[0] != END)
 
     def correct(self, correction: np.ndarray) -> None:
         """Set the correction of the coming impact.
@@ -164,10 +177,10 @@ class FreeFlyerExpert:
         values = np.asarray(correction, dtype=float)
         if values.shape != (2,) or not np.isfinite(values).all():
             raise InputError(f"correction must be 2 finite numbers, got {np.array2string(values, threshold=8)}")
-        if self._awaiting is None:
+        if not self.awaiting_correction:
             raise InputError("no correction is awaited now; see awaiting_correction")
-        scale, rotation = np.clip(values, -1.0, 1.0)
-        self._awaiting.correction = float(scale), float(rotation)
+        strike = self.progress.strike[0, self._due[0]]
+        strike[SCALE], strike[TURN] = np.clip(values, -1.0, 1.0)
 
     def features(self) -> np.ndarray:
         """Return what a learner may see of the coming impact (of the one a correction is awaited for, if any).
@@ -179,29 +192,32 @@ class FreeFlyerExpert:
             impact of this object, 1 before any; number of such observations; position (2) [m] and velocity (2) [m/s]
             of the robot relative to the object. Zeros when no impact is to come.
         """
-        coming = self._schedule.strikes.values()
-        strike = self._awaiting or min(coming, key=lambda strike: strike.time, default=None)
-        if strike is None:
+        script, progress, o = self.script, self.progress, int(self._due[0])
+        if o == END:
+            times = progress.strike[0, :, TIME]
+            o = int(np.argmin(times))
+        strike = progress.strike[0, o]
+        index = int(strike[IMPACT_INDEX])
+        if index == END:
             return np.zeros(self.feature_size)
-        planned = strike.planned
-        position, velocity = self._estimator.extrapolate(planned.object, strike.time)
-        desired = self._desired_velocity(strike, position, velocity)
+        planned, body = script.impact[index], script.robots + o
+        x, y, vx, vy = extrapolate(progress, 0, body, strike[TIME])
+        wish = np.array(aim(script, progress, self.options, 0, o))
         one_hot = np.zeros(ONE_HOT)
-        one_hot[min(strike.index, ONE_HOT - 1)] = 1.0
-        leg = self._schedule.target(strike)[1] - strike.time
-        ratios = self._schedule.ratios(planned.object)
-        robot, item = self._estimator.state(planned.robot), self._estimator.state(planned.object)
-        relative = robot - item
+        one_hot[min(index, ONE_HOT - 1)] = 1.0
+        _, due, _ = find_next_knot(script, progress, 0, o, strike[INSERTED] > 0.0)
+        hit, z = progress.hit[0, o], progress.filter[0]
+        now = progress.time[0]
         return np.concatenate(
             [
                 one_hot,
-                [self._now / self._scenario.horizon, strike.time - self._now, leg],
-                position - planned.position,
-                self._estimator.velocity(planned.object),
-                desired,
-                desired - velocity,
-                [ratios[-1] if ratios else 1.0, float(len(ratios))],
-                relative[[0, 1, 3, 4]],
+                [now / script.horizon, strike[TIME] - now, due - strike[TIME]],
+                [x - planned[PLACE_X], y - planned[PLACE_Y]],
+                z[body, 2:4],
+                wish,
+                wish - [vx, vy],
+                [hit[RATIO] or 1.0, hit[SEEN]],
+                z[int(planned[ROBOT]), :4] - z[body, :4],
             ]
         )
 
@@ -212,122 +228,10 @@ class FreeFlyerExpert:
             Robot to action in [-1, 1], shape (3,): body-frame forces and torque over their limits.
         """
         begin = time.perf_counter()
-        if self._awaiting is not None:
-            self._awaiting.decided, self._awaiting.replanned, self._awaiting = True, -math.inf, None
-        actions = {}
-        for name in self._scenario.robots:
-            strike = self._schedule.strike_of(name)
-            if strike is not None and self._schedule.should_replan(strike, self._now):
-                self._replan(strike)
-            actions[name] = self._track(name, strike)
-        self._diagnostics.solve_seconds.append(self._seconds + time.perf_counter() - begin)
-        return actions
+        self._run(CONTROL)
+        self._due[0] = END
+        self._solve_seconds.append(self._seconds + time.perf_counter() - begin)
+        return dict(zip(self._scenario.agents, self._actions[0].copy(), strict=True))
 
-    def _warm_up(self) -> None:
-        """Run every compiled function once, so that no control step has to wait for the compiler."""
-
-        def at_rest(bodies: Mapping[str, Body]) -> dict[str, np.ndarray]:
-            return {name: np.array([*body.start, 0.0, 0.0, body.heading, 0.0]) for name, body in bodies.items()}
-
-        robots, objects = self._scenario.robots, self._scenario.objects
-        felt = dict.fromkeys(robots, True)
-        self._estimator.update(Measurement(0.0, at_rest(robots), at_rest(objects), felt), {})
-        for robot in robots:
-            self._return(robot, 0.0)
-        for strike in self._schedule.strikes.values():
-            self._replan(strike)
-        self.control()
-
-    def _take_contact(self, robot: str, other: str, before: Mapping[str, np.ndarray]) -> None:
-        """Return to the plan after a contact, planned or not."""
-        strike = self._schedule.take_contact(robot, other, self._now, before.get(other, np.zeros(2)))
-        if strike is None:
-            self._diagnostics.fallbacks["unplanned_contact"] += 1
-            course = self._courses[robot]
-            self._return(robot, course.plan_start + course.rate * (self._now - course.start))
-            return
-        since = min(max(self._now - strike.time, 0.0), self._scenario.control_period)
-        self._return(robot, strike.planned.time + since)
-
-    def _return(self, robot: str, plan_now: float) -> None:
-        """Plan the course back to the plan, which stands at a given time."""
-        expected, planned = self._schedule.next_impact(robot)
-        curve, start = self._curves[robot], self._present_state(robot)
-        self._courses[robot] = plan_return(curve, self._now, start, min(plan_now, planned), expected, planned)
-        self._diagnostics.replans += 1
-
-    def _replan(self, strike: Strike) -> None:
-        """Plan the course to an impact, from the object as it is seen now."""
-        planned = strike.planned
-        position, velocity = self._estimator.extrapolate(planned.object, strike.time)
-        change = self._desired_velocity(strike, position, velocity) - velocity
-        scale = math.exp(SCALE_RANGE * strike.correction[0])
-        angle = ROTATION_RANGE * strike.correction[1]
-        c, s = math.cos(angle), math.sin(angle)
-        desired = velocity + scale * np.array([c * change[0] - s * change[1], s * change[0] + c * change[1]])
-        robot, item = self._scenario.robots[planned.robot], self._scenario.objects[planned.object]
-        strike.solution = solve_two_body_impact(
-            tuple(position),
-            tuple(velocity),
-            tuple(desired),
-            tuple(velocity),
-            tuple(planned.normal),
-            robot.mass,
-            item.mass,
-            self._scenario.believed.restitution,
-            robot.radius + item.radius,
-            robot.speed_limit,
-        )
-        course = self._courses[planned.robot]
-        start = np.empty((3, 2))
-        evaluate_course(course, self._now, start)
-        present = self._present_state(planned.robot)
-        if math.dist(present[0], start[0]) > LOST:
-            self._diagnostics.fallbacks["lost"] += 1
-            start[:2] = present
-        self._courses[planned.robot] = plan_approach(
-            course, self._now, start, strike.solution, strike.time, planned.time
-        )
-        strike.replanned = self._now
-        self._diagnostics.replans += 1
-
-    def _desired_velocity(self, strike: Strike, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Return the velocity the object should have after the impact, given its state before, shape (2,) [m/s]."""
-        name, planned = strike.planned.object, strike.planned
-        limit, drift = self._scenario.objects[name].speed_limit, self._estimator.drift(name)
-        target, due = self._schedule.target(strike)
-        duration = max(due - strike.time, min(SHORTEST_LEG, due - planned.time))
-        if not self._schedule.is_last(strike):
-            return compute_desired_velocity(position, target, duration, drift, limit)
-        deviation = position - planned.position
-        share = min(1.0, duration / FULL_CORRECTION)
-        desired = compute_desired_velocity(position, target + (1.0 - share) * deviation, duration, drift, limit)
-        change = desired - velocity
-        if change @ planned.normal >= SAME_SIDE * float(np.hypot(*change)):
-            return desired
-        return compute_desired_velocity(position, target + deviation, duration, drift, limit)
-
-    def _track(self, name: str, strike: Strike | None) -> np.ndarray:
-        """Return one robot's action, and remember the acceleration it should cause."""
-        robot, tracker = self._scenario.robots[name], self._trackers[name]
-        state = self._estimator.state(name)
-        # the measured angle is only known up to whole turns
-        state[2] = robot.heading + math.remainder(state[2] - robot.heading, math.tau)
-        impact = None if strike is None else strike.solution
-        gain = 0.0
-        if strike is not None:
-            item = self._scenario.objects[strike.planned.object]
-            gain = compute_velocity_gain(self._scenario.believed.restitution, item.mass, robot.mass)
-        course, problem = self._courses[name], tracker.problem
-        reference = sample_reference(course, self._now, problem, state[2], robot.heading, impact, gain)
-        u, source = tracker.control(state, reference)
-        if source != "mpc":
-            self._diagnostics.fallbacks[source] += 1
-        middle = state[2] + state[5] * problem.period / 2
-        c, s = math.cos(middle), math.sin(middle)
-        self._accelerations[name] = ((c * u[0] - s * u[1]) / robot.mass, (s * u[0] + c * u[1]) / robot.mass)
-        return u / problem.limits
-
-    def _present_state(self, name: str) -> np.ndarray:
-        """Return estimated position and velocity of a body, shape (2, 2) [m, m/s]."""
-        return np.array([self._estimator.position(name), self._estimator.velocity(name)])
+    def _run(self, phase: int) -> None:
+        cast(Any, run_experts)(*self._arrays, self._joint, self._actions, self._due, phase, 0, 0, 1)

@@ -1,4 +1,4 @@
-"""Tracking control of one free-flyer: impact-aware MPC as one box-constrained QP, and LQR as its fallback.
+"""Tracking control of one free-flyer: impact-aware MPC, as one box-constrained QP or, where no limit binds, recursion.
 
 State (q, v) = [x, y, heading, vx, vy, omega] in the world frame, input [Fx, Fy, torque] in the body frame. With the
 heading held over the horizon the dynamics are linear and the whole problem condenses into the inputs.
@@ -8,19 +8,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
-from numba import njit
 from scipy.linalg import solve_discrete_are
 
-from planners.errors import SolverFailed
+from impact_envs.compiled import compiled
 from planners.free_flyer.box_qp import NEWTON_STEPS, NOT_SOLVED, solve_box_qp
 
 STAGES = 10  # 1 s at 10 Hz: Verhagen & Tumova, App. B
 NO_JUMP = 0
 
-Source = Literal["mpc", "shifted_plan", "lqr"]
+# Columns of TrackingProblem.row: acceleration per input; limits; weights (pp, pv, vv) of each axis at the stages, then
+# at the end; effort; feedback (position, velocity) of each axis.
+GAIN, INPUT_LIMIT, WEIGHT, EFFORT, FEEDBACK, PILOT_SIZE = 0, 3, 6, 24, 27, 33
 
 
 @dataclass(frozen=True)
@@ -81,28 +82,11 @@ class TrackingProblem:
     effort: np.ndarray
     feedback: np.ndarray
 
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """Hold what the robot should do over the horizon.
-
-    Args:
-        states: at the nodes 0..10, shape (11, 6); at the node of a predicted impact the state just before it.
-        inputs: feed-forward inputs of the stages in the body frame, shape (10, 3) [N, N, N m].
-        durations: of the stages, shape (10,) [s].
-        jump_node: node of a predicted impact, 1..9; NO_JUMP without one.
-        normal: unit vector from robot to object, shape (2,).
-        jump_gain: c = (1 + e) m_O / (m_R + m_O).
-        object_speed: v_O . n, speed of the object along the normal before the impact [m/s].
-    """
-
-    states: np.ndarray
-    inputs: np.ndarray
-    durations: np.ndarray
-    jump_node: int = NO_JUMP
-    normal: tuple[float, float] = (1.0, 0.0)
-    jump_gain: float = 0.0
-    object_speed: float = 0.0
+    @property
+    def row(self) -> np.ndarray:
+        """Return everything but the period as one row for compiled code, shape (33,)."""
+        parts = (self.gains, self.limits, self.weights.ravel(), self.effort, self.feedback.ravel())
+        return np.concatenate(parts)
 
 
 def build_tracking_problem(robot: Actuated, period: float, weights: Weights = Weights()) -> TrackingProblem:
@@ -135,7 +119,7 @@ def build_tracking_problem(robot: Actuated, period: float, weights: Weights = We
     return TrackingProblem(period, gains, limits, table, effort, feedback)
 
 
-@njit(cache=True)
+@compiled
 def jump(z: np.ndarray, normal: tuple[float, float], gain: float, object_speed: float) -> None:
     """Apply the impact to a state in place: v+ = v- - c (n . v- - n . v_O) n.
 
@@ -152,7 +136,7 @@ def jump(z: np.ndarray, normal: tuple[float, float], gain: float, object_speed: 
     z[4] -= kick * normal[1]
 
 
-@njit(cache=True)
+@compiled
 def push(z: np.ndarray, axis: int, acceleration: float, h: float) -> None:
     """Add the effect of an acceleration held over a stage to a state in place.
 
@@ -166,7 +150,7 @@ def push(z: np.ndarray, axis: int, acceleration: float, h: float) -> None:
     z[3 + axis] += h * acceleration
 
 
-@njit(cache=True)
+@compiled
 def push_body(z: np.ndarray, channel: int, u: float, heading: float, gains: np.ndarray, h: float) -> None:
     """Add the effect of one input channel, given in the body frame, held over a stage, to a state in place.
 
@@ -190,19 +174,15 @@ def push_body(z: np.ndarray, channel: int, u: float, heading: float, gains: np.n
         push(z, 2, a, h)
 
 
-@njit(cache=True)
+@compiled
 def condense(
     state: np.ndarray,
     states: np.ndarray,
     inputs: np.ndarray,
     durations: np.ndarray,
     jump_node: int,
-    normal: tuple[float, float],
-    jump_gain: float,
-    object_speed: float,
-    gains: np.ndarray,
-    weights: np.ndarray,
-    effort: np.ndarray,
+    impact: np.ndarray,
+    pilot: np.ndarray,
     Z: np.ndarray,
     H: np.ndarray,
     g: np.ndarray,
@@ -214,8 +194,8 @@ def condense(
 
     Args:
         state: measured state, shape (6,); its heading turns the forces over the whole horizon.
-        states, inputs, durations, jump_node, normal, jump_gain, object_speed: see `Reference`.
-        gains, weights, effort: see `TrackingProblem`.
+        states, inputs, durations, jump_node, impact: see `Workspace`.
+        pilot: of the robot, see `TrackingProblem.row`.
         Z: scratch, shape (31, 6): row i is the sensitivity of the state to input i, the last row the state itself.
         H: Hessian, written, shape (30, 30).
         g: gradient at d = 0, written, shape (30,).
@@ -223,120 +203,184 @@ def condense(
     Source: Verhagen & Tumova, Eqs. 6, 31 and 33.
     """
     size, stages, heading = len(g), len(durations), state[2]
-    Z[:] = 0.0
-    H[:] = 0.0
-    g[:] = 0.0
+    for i in range(size):
+        g[i] = 0.0
+        for j in range(6):
+            Z[i, j] = 0.0
+        for j in range(size):
+            H[i, j] = 0.0
     for i in range(6):
         Z[size, i] = state[i]
+    normal, gain = (impact[0], impact[1]), impact[2]
     for k in range(stages):
         h = durations[k]
         for i in range(3 * k + 1):
-            z, speed = (Z[size], object_speed) if i == 3 * k else (Z[i], 0.0)
+            z, speed = (Z[size], impact[3]) if i == 3 * k else (Z[i], 0.0)
             if k == jump_node and k > 0:
-                jump(z, normal, jump_gain, speed)
+                jump(z, normal, gain, speed)
             for axis in range(3):
                 z[axis] += h * z[3 + axis]
         for channel in range(3):
-            push_body(Z[size], channel, inputs[k, channel], heading, gains, h)
-            push_body(Z[3 * k + channel], channel, 1.0, heading, gains, h)
-        W = weights[1] if k == stages - 1 else weights[0]
+            push_body(Z[size], channel, inputs[k, channel], heading, pilot, h)
+            push_body(Z[3 * k + channel], channel, 1.0, heading, pilot, h)
+        W = WEIGHT + 9 if k == stages - 1 else WEIGHT
         for i in range(3 * k + 3):
             for axis in range(3):
-                position = W[axis, 0] * Z[i, axis] + W[axis, 1] * Z[i, 3 + axis]
-                velocity = W[axis, 1] * Z[i, axis] + W[axis, 2] * Z[i, 3 + axis]
+                pp, pv, vv = pilot[W + 3 * axis], pilot[W + 3 * axis + 1], pilot[W + 3 * axis + 2]
+                position = pp * Z[i, axis] + pv * Z[i, 3 + axis]
+                velocity = pv * Z[i, axis] + vv * Z[i, 3 + axis]
                 g[i] += position * (Z[size, axis] - states[k + 1, axis])
                 g[i] += velocity * (Z[size, 3 + axis] - states[k + 1, 3 + axis])
                 for j in range(i + 1):
                     H[i, j] += position * Z[j, axis] + velocity * Z[j, 3 + axis]
     for i in range(size):
-        H[i, i] += effort[i % 3]
+        H[i, i] += pilot[EFFORT + i % 3]
         for j in range(i):
             H[j, i] = H[i, j]
 
 
-class Tracker:
-    """Track a reference by MPC; if it fails by the plan of the last success, then by LQR.
+class Workspace(NamedTuple):
+    """Where T threads solve the tracking problem.
 
-    Args:
-        problem: the MPC compiled for this robot.
-        max_steps: Newton steps allowed per solve.
+    Attributes:
+        state: measured, shape (T, 6).
+        states: reference at the nodes 0..10; at the node of a predicted impact the state just before it, shape
+            (T, 11, 6).
+        inputs: feed-forward inputs of the stages in the body frame, shape (T, 10, 3) [N, N, N m].
+        durations: of the stages, shape (T, 10) [s].
+        node: of a predicted impact, 1..9; NO_JUMP without one, shape (T,).
+        jump: of that impact: unit normal n from robot to object, c = (1 + e) m_O / (m_R + m_O), v_O . n before it,
+            shape (T, 4).
+        solution: inputs of all stages, shape (T, 30) [N, N, N m].
+        Z, H, L, vectors, free: scratch, shapes (T, 31, 6), (T, 30, 30) twice, (T, 6, 30), (T, 30).
+        steps: Newton steps allowed, shape (T,).
     """
 
-    def __init__(self, problem: TrackingProblem, max_steps: int = NEWTON_STEPS) -> None:
-        n = 3 * STAGES
-        self.problem = problem
-        self.max_steps = max_steps
-        self._Z, self._H, self._L = np.zeros((n + 1, 6)), np.zeros((n, n)), np.zeros((n, n))
-        self._g, self._d, self._trial, self._x = np.zeros((4, n))
-        self._free = np.zeros(n, dtype=np.bool_)
-        self._plan = np.zeros((0, 3))
-
-    def reset(self) -> None:
-        """Forget the plan of the last success."""
-        self._plan = np.zeros((0, 3))
-
-    def solve(self, state: np.ndarray, reference: Reference) -> np.ndarray:
-        """Solve the MPC.
-
-        Args:
-            state: measured state, shape (6,).
-            reference: what to do over the horizon.
-
-        Returns:
-            Inputs of all stages, shape (10, 3) [N, N, N m].
-
-        Raises:
-            SolverFailed: the QP was not solved within the Newton steps allowed.
-        """
-        p, r = self.problem, reference
-        impact = r.jump_node, r.normal, r.jump_gain, r.object_speed
-        matrices = self._Z, self._H, self._g
-        condense(state, r.states, r.inputs, r.durations, *impact, p.gains, p.weights, p.effort, *matrices)
-        lower, upper = (-p.limits - r.inputs).ravel(), (p.limits - r.inputs).ravel()
-        self._x[:] = 0.0
-        scratch = self._L, self._d, self._trial, self._free
-        steps = solve_box_qp(self._H, self._g, lower, upper, self._x, *scratch, self.max_steps)
-        if steps == NOT_SOLVED:
-            raise SolverFailed("tracking QP", f"not solved in {self.max_steps} Newton steps", "allow more of them")
-        return r.inputs + self._x.reshape(STAGES, 3)
-
-    def control(self, state: np.ndarray, reference: Reference) -> tuple[np.ndarray, Source]:
-        """Return the input to apply now, and where it came from.
-
-        Args:
-            state: measured state, shape (6,).
-            reference: what to do over the horizon.
-
-        Returns:
-            Input in the body frame, shape (3,) [N, N, N m], within the limits; "mpc", "shifted_plan" or "lqr".
-        """
-        source: Source = "mpc"
-        try:
-            self._plan = self.solve(state, reference)
-        except SolverFailed:
-            if len(self._plan) == 0:
-                return compute_lqr(self.problem, state, reference), "lqr"
-            source = "shifted_plan"
-        u, self._plan = self._plan[0], self._plan[1:]
-        return np.clip(u, -self.problem.limits, self.problem.limits), source
+    state: np.ndarray
+    states: np.ndarray
+    inputs: np.ndarray
+    durations: np.ndarray
+    node: np.ndarray
+    jump: np.ndarray
+    solution: np.ndarray
+    Z: np.ndarray
+    H: np.ndarray
+    L: np.ndarray
+    vectors: np.ndarray
+    free: np.ndarray
+    steps: np.ndarray
 
 
-def compute_lqr(problem: TrackingProblem, state: np.ndarray, reference: Reference) -> np.ndarray:
-    """Return the input of LQR with feed-forward, clipped to the limits.
+def make_workspace(threads: int = 1) -> Workspace:
+    """Make room for threads to solve tracking problems in."""
+    T, n = threads, 3 * STAGES
+    return Workspace(
+        state=np.zeros((T, 6)),
+        states=np.zeros((T, STAGES + 1, 6)),
+        inputs=np.zeros((T, STAGES, 3)),
+        durations=np.zeros((T, STAGES)),
+        node=np.zeros(T, np.int64),
+        jump=np.zeros((T, 4)),
+        solution=np.zeros((T, n)),
+        Z=np.zeros((T, n + 1, 6)),
+        H=np.zeros((T, n, n)),
+        L=np.zeros((T, n, n)),
+        vectors=np.zeros((T, 6, n)),
+        free=np.zeros((T, n), np.bool_),
+        steps=np.full(T, NEWTON_STEPS),
+    )
 
-    u = u_ref - K_p R(heading)' (q - q_ref) - K_v R(heading)' (v - v_ref)
+
+@compiled
+def solve_freely(workspace: Workspace, c: int, pilot: np.ndarray) -> bool:
+    r"""Solve the MPC without limits and without an impact in the horizon, by its Riccati recursion.
+
+    e_{k+1} = A e_k + B d_k + c_k with c_k = A x_ref,k + B u_ref,k - x_ref,k+1;  p_k = (A - B K)' (P c_k + p_{k+1});
+    d_k = -K e_k - B' (P c_k + p_{k+1}) / (R + B' P B)
+
+    P is the same at all stages, because the end is weighted by it; so it is for each axis in the world frame, where
+    the weights of x and y are equal.
 
     Args:
-        problem: gains and limits.
-        state: measured state, shape (6,).
-        reference: its node 0 and first feed-forward input are used.
+        workspace: with the reference filled in; ``solution`` is written.
+        c: thread.
+        pilot: of the robot, see `TrackingProblem.row`.
 
     Returns:
-        Input in the body frame, shape (3,) [N, N, N m].
+        Whether the inputs are within the limits, and so solve the MPC.
     """
-    error = state - reference.states[0]
-    c, s = math.cos(state[2]), math.sin(state[2])
-    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    K = problem.feedback
-    u = reference.inputs[0] - K[:, 0] * (turn @ error[:3]) - K[:, 1] * (turn @ error[3:])
-    return np.clip(u, -problem.limits, problem.limits)
+    state, states, inputs = workspace.state[c], workspace.states[c], workspace.inputs[c]
+    offset, solution = workspace.Z[c], workspace.solution[c]
+    cos, sin, h = math.cos(state[2]), math.sin(state[2]), workspace.durations[c, 0]
+    for axis in range(3):
+        P, K, g = WEIGHT + 9 + 3 * axis, FEEDBACK + 2 * axis, pilot[GAIN + axis]
+        pp, pv, vv, kp, kv = pilot[P], pilot[P + 1], pilot[P + 2], pilot[K], pilot[K + 1]
+        bp, bv = g * h * h / 2, g * h
+        q, w = 0.0, 0.0
+        for k in range(STAGES - 1, -1, -1):
+            u = inputs[k, 2]
+            if axis == 0:
+                u = cos * inputs[k, 0] - sin * inputs[k, 1]
+            elif axis == 1:
+                u = sin * inputs[k, 0] + cos * inputs[k, 1]
+            position, speed = states[k, axis], states[k, 3 + axis]
+            cp = position + h * speed + bp * u - states[k + 1, axis]
+            cv = speed + bv * u - states[k + 1, 3 + axis]
+            q, w = q + pp * cp + pv * cv, w + pv * cp + vv * cv
+            offset[k, axis] = bp * q + bv * w
+            offset[k, 3 + axis] = u
+            q, w = (1.0 - bp * kp) * q - bv * kp * w, (h - bp * kv) * q + (1.0 - bv * kv) * w
+        share = 1.0 / (pilot[EFFORT + axis] + bp * (pp * bp + pv * bv) + bv * (pv * bp + vv * bv))
+        position, speed = state[axis], state[3 + axis]
+        for k in range(STAGES):
+            d = -kp * (position - states[k, axis]) - kv * (speed - states[k, 3 + axis]) - share * offset[k, axis]
+            u = offset[k, 3 + axis] + d
+            position, speed = position + h * speed + bp * u, speed + bv * u
+            solution[3 * k + axis] = u
+    for k in range(STAGES):
+        x, y = solution[3 * k], solution[3 * k + 1]
+        solution[3 * k], solution[3 * k + 1] = cos * x + sin * y, cos * y - sin * x
+        for i in range(3):
+            if not abs(solution[3 * k + i]) <= pilot[INPUT_LIMIT + i]:
+                return False
+    return True
+
+
+@compiled
+def solve_tracking(workspace: Workspace, c: int, pilot: np.ndarray) -> bool:
+    """Solve the MPC in thread c's workspace.
+
+    Args:
+        workspace: with the reference filled in; ``solution`` is written.
+        c: thread.
+        pilot: of the robot, see `TrackingProblem.row`.
+
+    Returns:
+        False if the QP was not solved within the Newton steps allowed, or the state is not finite.
+    """
+    if workspace.node[c] == NO_JUMP and solve_freely(workspace, c, pilot):
+        return True
+    H, g, inputs = workspace.H[c], workspace.vectors[c, 0], workspace.inputs[c]
+    lower, upper, x = workspace.vectors[c, 1], workspace.vectors[c, 2], workspace.vectors[c, 3]
+    condense(
+        workspace.state[c],
+        workspace.states[c],
+        inputs,
+        workspace.durations[c],
+        workspace.node[c],
+        workspace.jump[c],
+        pilot,
+        workspace.Z[c],
+        H,
+        g,
+    )
+    for k in range(STAGES):
+        for i in range(3):
+            at, limit = 3 * k + i, pilot[INPUT_LIMIT + i]
+            lower[at], upper[at], x[at] = -limit - inputs[k, i], limit - inputs[k, i], 0.0
+    d, trial = workspace.vectors[c, 4], workspace.vectors[c, 5]
+    used = solve_box_qp(H, g, lower, upper, x, workspace.L[c], d, trial, workspace.free[c], workspace.steps[c])
+    for k in range(STAGES):
+        for i in range(3):
+            workspace.solution[c, 3 * k + i] = inputs[k, i] + x[3 * k + i]
+    return used != NOT_SOLVED

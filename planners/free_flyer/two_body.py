@@ -9,7 +9,7 @@ import math
 from enum import IntEnum
 from typing import NamedTuple
 
-from numba import njit
+from impact_envs.compiled import compiled
 
 Pair = tuple[float, float]
 
@@ -45,7 +45,7 @@ class TwoBodyImpact(NamedTuple):
     object_plus: Pair
 
 
-@njit(cache=True)
+@compiled
 def compute_velocity_gain(restitution: float, robot_mass: float, object_mass: float) -> float:
     """Return the object's change of speed per approach speed.
 
@@ -64,7 +64,7 @@ def compute_velocity_gain(restitution: float, robot_mass: float, object_mass: fl
     return (1.0 + restitution) * robot_mass / (robot_mass + object_mass)
 
 
-@njit(cache=True)
+@compiled
 def clip_tangential(normal_speed: float, wish: float, normal: Pair, limit: float) -> float:
     """Return the tangential speed nearest to a wish for which both axes keep the speed limit.
 
@@ -88,7 +88,7 @@ def clip_tangential(normal_speed: float, wish: float, normal: Pair, limit: float
     return min(max(wish, low), high)
 
 
-@njit(cache=True)
+@compiled
 def solve_two_body_impact(
     object_position: Pair,
     object_minus: Pair,

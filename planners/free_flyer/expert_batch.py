@@ -1,0 +1,91 @@
+"""Experts of many worlds at once, for vector environments."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, cast
+
+import numpy as np
+
+from impact_envs.compiled import announce
+from impact_envs.errors import InputError
+from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners.free_flyer.expert import check_plan, get_options
+from planners.free_flyer.loop import ACT, run_experts
+from planners.free_flyer.options import Options
+from planners.free_flyer.progress import COUNTERS, make_progress
+from planners.free_flyer.script import END, make_script
+from planners.free_flyer.tracking import make_workspace
+from planners.plan import Plan
+
+
+class FreeFlyerExpertBatch:
+    """The expert of N worlds; world k acts as FreeFlyerExpert does, and starts anew with an observation of time 0.
+
+    Args:
+        scenario: its true physics are not looked at.
+        plan: to execute.
+        count: N.
+        variant: of `options.VARIANTS`; the expert itself without.
+        options: parts of the loop, instead of a variant's.
+        threads: that share the worlds.
+
+    Raises:
+        InputError: the plan is for other bodies or another horizon, or the variant is unknown.
+    """
+
+    def __init__(
+        self,
+        scenario: FreeFlyerScenario,
+        plan: Plan,
+        count: int,
+        variant: str | None = None,
+        options: Options | None = None,
+        threads: int = 1,
+    ) -> None:
+        check_plan(scenario, plan)
+        announce(run_experts)
+        self.count, self.robots = count, len(scenario.robots)
+        self.size = BODY_SIZE * len(scenario.bodies) + self.robots + TAIL_SIZE - 1
+        script = make_script(scenario.as_believed(), plan)
+        self.progress = make_progress(script, count)
+        self._threads = min(threads, count)
+        chosen = get_options(variant) if options is None else options
+        workspace = make_workspace(self._threads)
+        self._arrays = tuple(script), tuple(self.progress), tuple(chosen), tuple(workspace)
+        self._due = np.full(count, END)
+        self._pool: ThreadPoolExecutor | None = None
+
+    @property
+    def counts(self) -> dict[str, np.ndarray]:
+        """Return how often what happened since each world's start, name to shape (N,)."""
+        return dict(zip(COUNTERS, self.progress.counts.T, strict=True))
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """Return every world's joint action.
+
+        Args:
+            observations: joint ones, as `vector_env` returns them, shape (N, 7 bodies + robots + 3).
+
+        Returns:
+            In [-1, 1], shape (N, 3 robots).
+
+        Raises:
+            InputError: observations of another shape.
+        """
+        joint = np.ascontiguousarray(observations, dtype=np.float64)
+        if joint.shape != (self.count, self.size):
+            raise InputError(f"observations have shape {joint.shape}; ({self.count}, {self.size}) is needed")
+        actions = np.empty((self.count, self.robots, 3))
+
+        def run(thread: int) -> None:
+            first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
+            cast(Any, run_experts)(*self._arrays, joint, actions, self._due, ACT, thread, first, end)
+
+        if self._threads == 1:
+            run(0)
+        else:
+            self._pool = self._pool or ThreadPoolExecutor(self._threads)
+            list(self._pool.map(run, range(self._threads)))
+        return actions.reshape(self.count, -1)

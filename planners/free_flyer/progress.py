@@ -1,0 +1,182 @@
+"""What the compiled expert remembers of every world: estimates, courses, coming impacts."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_envs.compiled import compiled
+from planners.free_flyer.course import COURSE_SIZE, IMPACT
+from planners.free_flyer.script import AT, END, NEXT, ROBOT, Script
+from planners.free_flyer.tracking import STAGES
+
+FILTER_SIZE, HIT_SIZE, SENSOR_SIZE = 12, 14, 4
+# Columns of Progress.strike, the coming impact of an object. IMPACT_INDEX: in the plan, or END if none is left;
+# INSERTED: 1 if it is none of the plan; AGENT: robot that hits; SCALE, TURN: correction of the impulse; SOLVED: 1 if
+# the two-body problem was solved; LAST: time of the object's last contact; LOOKED: time of the last retiming.
+(
+    IMPACT_INDEX,
+    INSERTED,
+    AGENT,
+    TIME,
+    MISSES,
+    REPLANNED,
+    SCALE,
+    TURN,
+    DECIDED,
+    SOLVED,
+    LAST,
+    LOOKED,
+    EXTRA,
+    OUTCOME,
+    CHANGE,
+    N_X,
+    N_Y,
+    CONTACT_X,
+    CONTACT_Y,
+    MINUS_X,
+    MINUS_Y,
+    PLUS_X,
+    PLUS_Y,
+    OBJECT_X,
+    OBJECT_Y,
+    REFERENCE_X,
+    REFERENCE_Y,
+    STRIKE_SIZE,
+) = range(28)
+# Columns of Progress.hit, the last impact of an object and what was learned from all of them. PENDING: 1 until the
+# change of velocity can be observed; BEFORE: velocity before it; LATEST: velocity a step ago; APPROACH: change that is
+# expected of the estimated approach speed; FACTOR, SPREAD: true over believed velocity gain, mean and variance, KNOWN_
+# without the last impact; RATIO: observed over commanded change at the last impact, 0 before any; SEEN: number of
+# observations.
+(
+    PENDING,
+    HIT_AT,
+    BEFORE_X,
+    BEFORE_Y,
+    LATEST_X,
+    LATEST_Y,
+    APPROACH,
+    COMMANDED,
+    FACTOR,
+    SPREAD,
+    KNOWN_FACTOR,
+    KNOWN_SPREAD,
+    RATIO,
+    SEEN,
+) = range(14)
+# Columns of Progress.sensor.
+SIGMA, WEIGHT, SQUARE, SAMPLES = range(SENSOR_SIZE)
+# Columns of Progress.counts.
+COUNTERS = (
+    "replans",
+    "retry",
+    "give_up",
+    "lost",
+    "unplanned_contact",
+    "inserted",
+    "retimed",
+    "shifted_plan",
+    "lqr",
+    "no_measurement",
+)
+(REPLANS, RETRY, GIVE_UP, LOST, UNPLANNED, INSERTS, RETIMED, SHIFTED_PLAN, LQR, NO_MEASUREMENT) = range(len(COUNTERS))
+NOBODY, UNKNOWN = -2, -1  # in Progress.touch
+
+
+class Progress(NamedTuple):
+    """What the expert remembers of N worlds with n bodies, r robots, m objects and K planned impacts.
+
+    Attributes:
+        time: of the last measurement, shape (N,) [s].
+        filter: of every body, see ``estimator``, shape (N, n, 12).
+        heading: angle and angular velocity, shape (N, n, 2) [rad, rad/s].
+        recent: the last three measured positions of the objects, shape (N, m, 6) [m].
+        sensor: what is learned of the noise, shape (N, 4).
+        push: commanded acceleration of the robots since the last measurement, shape (N, r, 2) [m/s^2].
+        touch: body that each robot touched, UNKNOWN or NOBODY, shape (N, r).
+        course: of the robots, shape (N, r, 19).
+        strike: coming impact of each object, shape (N, m, 27).
+        hit: last impact of each object, shape (N, m, 14).
+        clock: expected times of the planned impacts, shape (N, K) [s].
+        shifted: inputs left of the last successful MPC, and how many, shape (N, r, 31).
+        counts: of what happened, see COUNTERS, shape (N, 10).
+    """
+
+    time: np.ndarray
+    filter: np.ndarray
+    heading: np.ndarray
+    recent: np.ndarray
+    sensor: np.ndarray
+    push: np.ndarray
+    touch: np.ndarray
+    course: np.ndarray
+    strike: np.ndarray
+    hit: np.ndarray
+    clock: np.ndarray
+    shifted: np.ndarray
+    counts: np.ndarray
+
+
+def make_progress(script: Script, count: int) -> Progress:
+    """Make the memory of N worlds.
+
+    Args:
+        script: what they follow.
+        count: N.
+    """
+    n, r, planned = len(script.body), script.robots, len(script.impact)
+    return Progress(
+        time=np.zeros(count),
+        filter=np.zeros((count, n, FILTER_SIZE)),
+        heading=np.zeros((count, n, 2)),
+        recent=np.zeros((count, n - r, 6)),
+        sensor=np.zeros((count, SENSOR_SIZE)),
+        push=np.zeros((count, r, 2)),
+        touch=np.zeros((count, r), np.int64),
+        course=np.zeros((count, r, COURSE_SIZE)),
+        strike=np.zeros((count, n - r, STRIKE_SIZE)),
+        hit=np.zeros((count, n - r, HIT_SIZE)),
+        clock=np.zeros((count, planned)),
+        shifted=np.zeros((count, r, 3 * STAGES + 1)),
+        counts=np.zeros((count, len(COUNTERS)), np.int64),
+    )
+
+
+@compiled
+def find_next_event(script: Script, progress: Progress, k: int, r: int) -> tuple[float, float, int]:
+    """Return when robot r has to be somewhere next: expected time, plan's time and number of its next impact, or END.
+
+    Args:
+        script: what is followed.
+        progress: of all worlds.
+        k: world.
+        r: robot.
+    """
+    time, planned, index = script.horizon, script.horizon, END
+    for o in range(progress.strike.shape[1]):
+        at = int(progress.strike[k, o, IMPACT_INDEX])
+        while at != END:
+            if script.impact[at, ROBOT] == r and progress.clock[k, at] < time:
+                time, planned, index = progress.clock[k, at], script.impact[at, AT], at
+            at = int(script.impact[at, NEXT])
+    return time, planned, index
+
+
+@compiled
+def find_strike(progress: Progress, k: int, r: int) -> int:
+    """Return the object that robot r is to hit next, if its turn has come; END otherwise."""
+    best, found = math.inf, END
+    for o in range(progress.strike.shape[1]):
+        coming = progress.strike[k, o, IMPACT_INDEX] != END or progress.strike[k, o, INSERTED] > 0.0
+        if coming and progress.strike[k, o, AGENT] == r and progress.strike[k, o, TIME] < best:
+            best, found = progress.strike[k, o, TIME], o
+    return found
+
+
+@compiled
+def is_approaching(progress: Progress, k: int, r: int) -> bool:
+    """Return whether robot r is on a course to an impact."""
+    return progress.course[k, r, IMPACT] > 0.0

@@ -1,0 +1,274 @@
+"""When and how often an object is hit: move an impact to where the object will be, insert one where it goes astray."""
+
+from __future__ import annotations
+
+import math
+
+from impact_envs.compiled import compiled
+from planners.free_flyer.course import IMPACT
+from planners.free_flyer.estimator import compute_variance, extrapolate
+from planners.free_flyer.options import Options
+from planners.free_flyer.progress import (
+    AGENT,
+    DECIDED,
+    EXTRA,
+    FACTOR,
+    IMPACT_INDEX,
+    INSERTED,
+    INSERTS,
+    LAST,
+    LOOKED,
+    MISSES,
+    REFERENCE_X,
+    REFERENCE_Y,
+    REPLANNED,
+    RETIMED,
+    SCALE,
+    SOLVED,
+    TIME,
+    TURN,
+    Progress,
+    find_next_event,
+)
+from planners.free_flyer.script import (
+    CLOSE,
+    DEPTH,
+    END,
+    KNOT_X,
+    KNOT_Y,
+    MASS,
+    NEXT,
+    NORMAL_X,
+    NORMAL_Y,
+    OPEN,
+    RADIUS,
+    SPEED,
+    Script,
+)
+from planners.free_flyer.strike import (
+    CRUISE,
+    REPLAN_PERIOD,
+    ROUND_OFF,
+    SAME_SIDE,
+    SETTLE,
+    aim,
+    compute_desired_velocity,
+    compute_margin,
+    compute_room,
+    compute_turn,
+    find_share,
+    set_clocks,
+    set_time,
+)
+from planners.free_flyer.tracking import GAIN, INPUT_LIMIT
+from planners.free_flyer.two_body import compute_velocity_gain
+
+FROZEN = 4.0  # before an impact its time is kept [s]
+CANDIDATES = 121
+REFINED = 20
+CROWDING = 0.1  # the object should be hit so deep inside what its knot demands [m]
+OUTSIDE = 20.0  # weight of missing that, squared, over missing the planned place, squared
+PULL = 1e-5  # weight of changing the time, squared [m^2/s^2]
+RESERVE = 4.0  # after the last impact [s], or
+RESERVE_SHARE = 0.1  # of the horizon
+SAFE = 0.02  # an impact is inserted where a knot's demands would be met by less than this [m]
+SAFE_DEVIATIONS = 0.5  # and so many standard deviations less,
+DEVIATIONS = 1.0
+SHALLOW = 0.3  # or, after the last impact, for ending less deep than this share of the plan's margin
+MOST_INSERTED = 4
+LEADS = (6.0, 7.0, 9.0, 5.0, 4.0, 12.0, 15.0, 20.0)  # from now to an inserted impact [s]
+HASTES = (1.0, 0.7, 0.5)  # of the flight after it, by which its direction comes nearer to the flight's
+LEAST_LEG = 3.0  # after an inserted impact [s]
+REST = 5.0  # of its robot before the next one [s]
+LEAST_CHANGE = 4e-3  # of the object's velocity that is worth an impact [m/s]
+SIDE = 0.6  # cosine between the way from robot to object and the change of velocity, at least
+EDGE = 0.2  # or if its robot would come so near to the edge of areas it may not leave [m]
+WALL = 0.1  # kept by the robot from the edge of areas it may not leave [m]
+EASE = 0.9  # of the thrust
+
+
+@compiled
+def look_ahead(script: Script, progress: Progress, options: Options, k: int, now: float) -> None:
+    """Move or insert the coming impacts of world k, where options say so and the objects' flight is known."""
+    for o in range(len(script.first)):
+        strike = progress.strike[k, o]
+        settled = now >= strike[LAST] + SETTLE - ROUND_OFF
+        if not settled or strike[INSERTED] > 0.0 or now < strike[LOOKED] + REPLAN_PERIOD - ROUND_OFF:
+            continue
+        strike[LOOKED] = now
+        if options.retime and strike[LAST] > 0.0 and strike[IMPACT_INDEX] != END and now <= strike[TIME] - FROZEN:
+            retime(script, progress, k, o, now)
+        if options.insert and strike[EXTRA] < MOST_INSERTED and strike[LAST] > 0.0:
+            insert(script, progress, options, k, o, now)
+
+
+@compiled
+def compute_reserve(script: Script, knot: int) -> float:
+    """Return the latest time of an impact from which all later ones can be reached [s]."""
+    latest, at = script.horizon - max(RESERVE, RESERVE_SHARE * script.horizon), int(script.impact[knot, NEXT])
+    x, y = script.knot[knot, KNOT_X], script.knot[knot, KNOT_Y]
+    while at != END:
+        latest -= math.hypot(script.knot[at, KNOT_X] - x, script.knot[at, KNOT_Y] - y) / CRUISE
+        x, y = script.knot[at, KNOT_X], script.knot[at, KNOT_Y]
+        at = int(script.impact[at, NEXT])
+    return latest
+
+
+@compiled
+def retime(script: Script, progress: Progress, k: int, o: int, now: float) -> None:
+    """Move the coming impact of object o to when the object is nearest to where it should be hit.
+
+    min_t |x_O(t) - P_k|^2 + 20 max(0, crowding - margin_k(x_O(t)))^2 + 1e-5 (t - t_k)^2
+    """
+    strike = progress.strike[k, o]
+    index, old = int(strike[IMPACT_INDEX]), strike[TIME]
+    latest = min(script.knot[index, CLOSE], max(compute_reserve(script, index), old))
+    notice = FROZEN
+    r, body = int(strike[AGENT]), script.robots + o
+    reach = script.body[r, RADIUS] + script.body[body, RADIUS]
+    place_x = script.knot[index, KNOT_X] - reach * script.impact[index, NORMAL_X]
+    place_y = script.knot[index, KNOT_Y] - reach * script.impact[index, NORMAL_Y]
+    while now + notice < old and not is_reachable(script, progress, k, r, place_x, place_y, 0.0, 0.0, notice):
+        notice += 1.0
+    earliest = min(max(now + notice, script.knot[index, OPEN]), old)
+    if latest <= earliest:
+        return
+    best, time = compute_miss(script, progress, k, o, old, old), old
+    step = (latest - earliest) / (CANDIDATES - 1)
+    for i in range(CANDIDATES):
+        t = earliest + i * step
+        miss = compute_miss(script, progress, k, o, t, old)
+        if miss < best:
+            best, time = miss, t
+    middle = time
+    for i in range(1, 2 * REFINED):
+        t = min(max(middle + (i / REFINED - 1.0) * step, earliest), latest)
+        miss = compute_miss(script, progress, k, o, t, old)
+        if miss < best:
+            best, time = miss, t
+    if abs(time - old) > ROUND_OFF:
+        progress.counts[k, RETIMED] += 1
+        set_time(script, progress, k, o, index, time)
+        set_clocks(script, progress, k, now)
+
+
+@compiled
+def is_reachable(
+    script: Script, progress: Progress, k: int, r: int, x: float, y: float, vx: float, vy: float, span: float
+) -> bool:
+    r"""Return whether robot r can be at a position with a velocity after a time by a quintic, within its thrust.
+
+    a(tau) = d (60 tau - 180 tau^2 + 120 tau^3) / T^2 + 6 (v - v_0) tau (1 - tau) / T, d = x - x_0 - T (v + v_0) / 2
+    """
+    z, pilot = progress.filter[k, r], script.pilot[r]
+    dx, dy = x - z[0] - span / 2 * (vx + z[2]), y - z[1] - span / 2 * (vy + z[3])
+    most = 0.0
+    for i in range(1, 8):
+        tau = i / 8.0
+        way = (60.0 * tau - 180.0 * tau * tau + 120.0 * tau * tau * tau) / (span * span)
+        turn = 6.0 * tau * (1.0 - tau) / span
+        most = max(most, math.hypot(way * dx + turn * (vx - z[2]), way * dy + turn * (vy - z[3])))
+    return most <= EASE * pilot[GAIN] * pilot[INPUT_LIMIT]
+
+
+@compiled
+def compute_miss(script: Script, progress: Progress, k: int, o: int, time: float, old: float) -> float:
+    """Return what `retime` minimises."""
+    knot = int(progress.strike[k, o, IMPACT_INDEX])
+    x, y, _, _ = extrapolate(progress, k, script.robots + o, time)
+    dx, dy = x - script.knot[knot, KNOT_X], y - script.knot[knot, KNOT_Y]
+    outside = max(min(CROWDING, 0.4 * script.knot[knot, DEPTH]) - compute_margin(script, knot, x, y), 0.0)
+    return dx * dx + dy * dy + OUTSIDE * outside * outside + PULL * (time - old) * (time - old)
+
+
+@compiled
+def insert(script: Script, progress: Progress, options: Options, k: int, o: int, now: float) -> None:
+    """Hit object o once more where it would miss its next knot's demands, or end without enough margin."""
+    strike, body = progress.strike[k, o], script.robots + o
+    index = int(strike[IMPACT_INDEX])
+    over = index == END
+    knot = len(script.impact) + o if over else index
+    time = script.horizon if over else strike[TIME]
+    x, y, _, _ = extrapolate(progress, k, body, time)
+    spread = (DEVIATIONS if over else SAFE_DEVIATIONS) * math.sqrt(max(compute_variance(progress, k, body, time), 0.0))
+    needed = SHALLOW * script.knot[knot, DEPTH] if over else SAFE
+    astray = compute_margin(script, knot, x, y) + spread < needed
+    if not over and not astray:
+        wish_x, wish_y = aim(script, progress, options, k, o)
+        room = compute_room(script, progress, k, o, int(strike[AGENT]), time, wish_x, wish_y)
+        turned = compute_turn(script, progress, k, o, wish_x, wish_y) < SAME_SIDE
+        astray = room + spread < EDGE or turned
+    if not astray or script.horizon - now < LEADS[0] + REST:
+        return
+    for lead in LEADS:
+        for haste in HASTES:
+            duration = haste * compute_leg(script, progress, k, o, knot, over, now + lead)
+            if now + lead + duration > script.horizon - (0.0 if over else RESERVE) or duration < LEAST_LEG:
+                continue
+            agent = choose_agent(script, progress, k, o, knot, over, now, now + lead, duration)
+            if agent == END:
+                continue
+            strike[INSERTED], strike[AGENT], strike[TIME], strike[DECIDED] = 1.0, agent, now + lead, 1.0
+            strike[REPLANNED], strike[SCALE], strike[TURN] = -math.inf, 0.0, 0.0
+            strike[MISSES], strike[SOLVED], strike[EXTRA] = 0.0, 0.0, strike[EXTRA] + 1.0
+            if not over:
+                set_time(script, progress, k, o, index, now + lead + duration)
+                strike[TIME] = now + lead
+            progress.counts[k, INSERTS] += 1
+            set_clocks(script, progress, k, now)
+            return
+
+
+@compiled
+def compute_leg(script: Script, progress: Progress, k: int, o: int, knot: int, over: bool, time: float) -> float:
+    """Return how long the flight from an inserted impact to the knot after it may take [s]."""
+    x, y, _, _ = extrapolate(progress, k, script.robots + o, time)
+    if over:
+        return script.horizon - time
+    way = math.hypot(script.knot[knot, KNOT_X] - x, script.knot[knot, KNOT_Y] - y)
+    longest = max(script.knot[knot, CLOSE] - time, LEAST_LEG)
+    return max(progress.clock[k, knot] - time, min(way / CRUISE, longest), LEAST_LEG)
+
+
+@compiled
+def choose_agent(
+    script: Script, progress: Progress, k: int, o: int, knot: int, over: bool, now: float, time: float, duration: float
+) -> int:
+    """Return the robot that stands best for an impact on object o at a time, or END."""
+    body = script.robots + o
+    z = progress.filter[k, body]
+    x, y, vx, vy = extrapolate(progress, k, body, time)
+    if not over and time + duration > script.knot[knot, CLOSE] + ROUND_OFF:
+        return END
+    target_x, target_y = script.knot[knot, KNOT_X], script.knot[knot, KNOT_Y]
+    if over:
+        share = find_share(script, knot, x, y, target_x, target_y)
+        target_x, target_y = x + share * (target_x - x), y + share * (target_y - y)
+    wish = compute_desired_velocity(x, y, target_x, target_y, duration, z[4], z[5], script.body[body, SPEED])
+    dx, dy = wish[0] - vx, wish[1] - vy
+    change = math.hypot(dx, dy)
+    best, found = SIDE, END
+    if change < LEAST_CHANGE:
+        return END
+    nx, ny = dx / change, dy / change
+    for r in range(script.robots):
+        event, _, _ = find_next_event(script, progress, k, r)
+        mine = progress.strike[k, o, AGENT] == r
+        if progress.course[k, r, IMPACT] > 0.0 and not mine:
+            continue
+        if event < time + REST and event < script.horizon and not mine:
+            continue
+        reach = script.body[r, RADIUS] + script.body[body, RADIUS]
+        px, py = x - reach * nx, y - reach * ny
+        a = progress.filter[k, r]
+        distance = math.hypot(x - a[0], y - a[1])
+        cosine = ((x - a[0]) * nx + (y - a[1]) * ny) / max(distance, ROUND_OFF)
+        inside = compute_room(script, progress, k, o, r, time, wish[0], wish[1]) >= WALL
+        gain = compute_velocity_gain(script.restitution, script.body[r, MASS], script.body[body, MASS])
+        speed = change / (gain * progress.hit[k, o, FACTOR])
+        reachable = is_reachable(script, progress, k, r, px, py, vx + speed * nx, vy + speed * ny, time - now)
+        if inside and reachable and cosine > best:
+            best, found = cosine, r
+    if found != END:
+        progress.strike[k, o, REFERENCE_X], progress.strike[k, o, REFERENCE_Y] = nx, ny
+    return found
