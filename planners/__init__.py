@@ -21,6 +21,7 @@ __all__ = [
     "has_planner",
     "list_variants",
     "make_expert",
+    "make_expert_batch",
     "make_plan",
 ]
 
@@ -101,6 +102,36 @@ def make_expert(scenario: str | Path | Scenario, plan: Plan | None = None, varia
             f"scenario {loaded.name} has {', '.join(loaded.agents)}"
         )
     return getattr(import_module(module), name)(loaded.as_believed(), plan, variant)
+
+
+def make_expert_batch(
+    scenario: str | Path | Scenario,
+    count: int,
+    plan: Plan | None = None,
+    variant: str | None = None,
+    threads: int = 1,
+) -> Any:
+    """Make the experts of the worlds of a vector environment: ``actions = experts.act(observations)``.
+
+    Args:
+        scenario: a shipped name, the path of a TOML file, or a Scenario; of discs.
+        count: how many worlds.
+        plan: to execute; planned now without one.
+        variant: what the expert is compared with, see list_variants.
+        threads: that share the worlds.
+
+    Returns:
+        A FreeFlyerExpertBatch; world k acts as make_expert's policy does.
+
+    Raises:
+        InputError, PlanningError: as make_expert; InputError also for a domain whose expert knows one world only.
+    """
+    loaded: Any = load_scenario(scenario)
+    check_planned(loaded)
+    from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
+
+    chosen = make_plan(loaded) if plan is None else plan
+    return FreeFlyerExpertBatch(loaded.as_believed(), chosen, count, variant, threads=threads)
 
 
 def list_variants(scenario: Scenario) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from planners.dual_arm.programs import (
     BOX,
     FRICTION,
     GRAVITY,
+    GRIP,
     HALF_HEIGHT,
     INERTIA,
     KP_POST,
@@ -36,14 +37,14 @@ def build_post(program: Program, terms: Terms, field: PostField, gains: np.ndarr
     """Build the post-impact program: move the box along its velocity field, hold it by four rigid contacts.
 
     min w_p |p_b'' - a_ref - k_p (v_ref - p_b')|^2 + w_theta (...)^2 + w_share ((l_1 - l_2)^2 + (l_3 - l_4)^2)
-    + w_n |lambda_N|^2, subject to the motion of arms and box, gamma_k'' = 0, sigma_1'' = sigma_3'' = 0 and
+    + w_n |lambda_N - grip|^2, subject to the motion of arms and box, gamma_k'' = 0, sigma_1'' = sigma_3'' = 0 and
     |lambda_T| <= mu lambda_N.
 
     Args:
         program: written, shape GRASP.
         terms: of both arms at the measured state.
         field: the reference.
-        gains: shape (22,).
+        gains: shape (23,).
         box: its estimated state, shape (6,).
 
     Source: van Steen et al., Eqs. 42 to 50; Eq. 44 with the exact second derivative of the gap.
@@ -61,6 +62,7 @@ def build_post(program: Program, terms: Terms, field: PostField, gains: np.ndarr
     for k in range(4):
         program.H[NORMAL + k, NORMAL + k] += 2.0 * (gains[W_NORMAL] + gains[W_SHARE])
         program.H[NORMAL + k, NORMAL + (k ^ 1)] -= 2.0 * gains[W_SHARE]
+        program.f[NORMAL + k] -= 2.0 * gains[W_NORMAL] * gains[GRIP]
         write_contact(program, terms, gains, box, k)
 
 
@@ -75,7 +77,7 @@ def write_contact(program: Program, terms: Terms, gains: np.ndarray, box: np.nda
     Args:
         program: written.
         terms: of both arms.
-        gains: shape (22,).
+        gains: shape (23,).
         box: its estimated state, shape (6,).
         k: pad corner, 0 to 3.
     """

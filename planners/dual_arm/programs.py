@@ -31,6 +31,7 @@ KP, KTH, SYNC_P, SYNC_D, WP, WTH, WS = range(7)
 K_INT, KTH_INT, WP_INT, WTH_INT = range(7, 11)
 KP_POST, KTH_POST, WP_POST, WTH_POST, W_SHARE, W_NORMAL = range(11, 17)
 FRICTION, MASS, INERTIA, GRAVITY, HALF_HEIGHT = range(17, 22)
+GRIP = 22
 
 
 class Program(NamedTuple):
@@ -130,7 +131,7 @@ def build_ante(program: Program, terms: Terms, field: AnteField, gains: np.ndarr
         program: written, shape FREE.
         terms: of both arms at the measured state.
         field: the reference.
-        gains: shape (22,).
+        gains: shape (23,).
         ramp: factor on the feedback gains, 1 after the soft start.
 
     Source: van Steen et al., Eqs. 22 to 32.
@@ -184,7 +185,7 @@ def build_interim(
         program: written, shape FREE.
         terms: of both arms at the measured angles and the nominal rates.
         field: the reference.
-        gains: shape (22,).
+        gains: shape (23,).
         integrated: p_int and theta_int, shape (2, 3) [m, rad].
         press: further acceleration of both pads towards the box [m/s^2], 0 in the paper.
 

@@ -14,8 +14,27 @@ from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.errors import InputError, choices
 from planners.dual_arm.dense_qp import get_solver, relax_contacts
 from planners.dual_arm.grasp_program import assemble_post
-from planners.dual_arm.programs import FREE, GRASP, QDD, WS, Program, assemble_ante, assemble_interim, make_program
-from planners.dual_arm.reference import AnteField, ImpactMap, PostField, compute_smoothstep, predict_twist
+from planners.dual_arm.programs import (
+    FREE,
+    GRASP,
+    GRIP,
+    INERTIA,
+    MASS,
+    QDD,
+    WS,
+    Program,
+    assemble_ante,
+    assemble_interim,
+    make_program,
+)
+from planners.dual_arm.reference import (
+    AnteField,
+    ImpactMap,
+    PostField,
+    compute_post_reference,
+    compute_smoothstep,
+    predict_twist,
+)
 from planners.dual_arm.terms import compute_terms, estimate_box, make_terms
 from planners.errors import PlanningError
 
@@ -28,8 +47,9 @@ Phase = Literal["ante", "interim", "post"]
 class Settings:
     """Parameters of the controller; the paper gives none, these are ours.
 
-    The last five are no part of the paper's controller; `PAPER` turns them off. Without `press`, pads that bounce off a
-    turned box are brought back by the weak position feedback alone, which can take hundreds of milliseconds.
+    The last six are no part of the paper's controller; `PAPER` turns them off. Without `press`, pads that bounce off a
+    turned box are brought back by the weak position feedback alone, which can take hundreds of milliseconds. Without
+    `grip` the forces are the least inside the believed cone, under which a held weight creeps.
 
     Args:
         impact_velocity: of the first pad in the box frame, mirrored for the second, shape (2,) [m/s].
@@ -48,18 +68,19 @@ class Settings:
             it rises [s].
         soft_start: time over which the feedback gains rise from rest [s].
         fade: time constant with which the step of the torque at full contact fades [s].
+        grip: normal force that every corner is drawn to after the impact [N].
         time_out: longest interim phase [s].
     """
 
     impact_velocity: tuple[float, float] = (0.5, 0.25)
-    alpha: float = 10.0
-    r_min: float = 0.24
-    r_max: float = 0.40
-    kappa_theta: float = 4.0
+    alpha: float = 20.0
+    r_min: float = 0.19
+    r_max: float = 0.30
+    kappa_theta: float = 8.0
     k_p: float = 120.0
     k_theta: float = 60.0
-    sync_p: float = 100.0
-    sync_d: float = 20.0
+    sync_p: float = 225.0
+    sync_d: float = 30.0
     w_p: float = 1.0
     w_theta: float = 0.1
     w_sync: float = 10.0
@@ -80,8 +101,9 @@ class Settings:
     dwell: float = 0.015
     press: float = 10.0
     press_rise: float = 0.02
-    soft_start: float = 0.15
+    soft_start: float = 0.3
     fade: float = 0.005
+    grip: float = 25.0
     time_out: float = math.inf
 
     def __post_init__(self) -> None:
@@ -92,11 +114,24 @@ class Settings:
 
 
 SHIPPED = Settings()
-PAPER = Settings(press=0.0, soft_start=0.0, fade=0.0)  # as published
+# As published, with a reference that turns towards the impact later and more slowly, and looser synchronisation: from
+# far starts its pads meet the box up to 3 cm too high and up to 21 ms apart.
+PAPER = Settings(
+    alpha=10.0,
+    r_min=0.24,
+    r_max=0.40,
+    kappa_theta=4.0,
+    sync_p=100.0,
+    sync_d=20.0,
+    press=0.0,
+    soft_start=0.0,
+    fade=0.0,
+    grip=0.0,
+)
 
 
 def make_gains(scenario: DualArmScenario, settings: Settings) -> np.ndarray:
-    """Collect gains, weights and the box's believed numbers in the order of `programs`, shape (22,)."""
+    """Collect gains, weights and the box's believed numbers in the order of `programs`, shape (23,)."""
     s, box = settings, scenario.box
     return np.array(
         [
@@ -104,6 +139,7 @@ def make_gains(scenario: DualArmScenario, settings: Settings) -> np.ndarray:
             *(s.k_int, s.k_theta_int, s.w_p_int, s.w_theta_int),
             *(s.k_p_post, s.k_theta_post, s.w_p_post, s.w_theta_post, s.w_share, s.w_normal),
             *(scenario.believed.friction, box.mass, box.inertia, scenario.gravity, scenario.links.pad_half_height),
+            s.grip,
         ]
     )
 
@@ -152,6 +188,7 @@ class ReferenceSpreading:
         fallbacks: how often the slack form or the last torque was used.
         switches: phase to the time it began [s].
         program: the one solved last, for inspection.
+        field, post_field: the references before and after the impact; the second is None until full contact.
         box: estimated state of the box after the impact, shape (6,) [m, rad, m/s, rad/s].
         predicted: twist of the box just after the impact, shape (3,) [m/s, rad/s].
 
@@ -181,6 +218,7 @@ class ReferenceSpreading:
         self._gains = make_gains(scenario, settings)
         if method == "no_synchronisation":
             self._gains[WS] = 0.0
+        self._nominal = self._gains.copy()
         self.field = make_ante_field(scenario, settings)
         self._target = scenario.target.array
         self._free, self._grasp = make_program(FREE, self._limits), make_program(GRASP, self._limits)
@@ -195,11 +233,39 @@ class ReferenceSpreading:
         self.switches: dict[str, float] = {"ante": 0.0}
         self.program: Program = self._free
         self.box, self.predicted = np.zeros(6), np.zeros(3)
-        self._count = self._held = 0
+        self._count = self._held = self._switched = 0
         self._last = np.zeros((2, 3))
         self._offset = np.zeros((2, 3))
         self._heights: np.ndarray | None = None
         self._integrated = np.zeros((2, 3))
+        self.post_field: PostField | None = None
+        self._gains[:] = self._nominal
+
+    @property
+    def ticks_of_grasp(self) -> int:
+        """Return the number of ticks controlled since full contact."""
+        return self._count - self._switched if self.phase == "post" else 0
+
+    @property
+    def heights(self) -> np.ndarray:
+        """Return y of both pads in the frame of the believed box at the first contact, 0 before, shape (2,) [m]."""
+        return np.zeros(2) if self._heights is None else self._heights
+
+    def scale_load(self, grip: float, weight: float) -> None:
+        """Change, until reset, what is held on with and what is carried.
+
+        Args:
+            grip: factor on `Settings.grip`.
+            weight: factor on the box's believed mass and inertia.
+        """
+        self._gains[GRIP] = grip * self._nominal[GRIP]
+        self._gains[[MASS, INERTIA]] = weight * self._nominal[[MASS, INERTIA]]
+
+    def reference_error(self) -> np.ndarray:
+        """Return the post-impact reference minus the box's estimated velocity; 0 before, shape (3,) [m/s, rad/s]."""
+        if self.post_field is None:
+            return np.zeros(3)
+        return np.array(compute_post_reference(self.post_field, *self.box[:3])[:3]) - self.box[3:]
 
     def control(self, q: np.ndarray, v: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Return the torques of this tick.
@@ -226,7 +292,8 @@ class ReferenceSpreading:
             )
             torques = self._torques(self._free)
         else:
-            assemble_post(self._grasp, self._terms, self._post, self._gains, self._arms, q, v, self.box)
+            assert self.post_field is not None
+            assemble_post(self._grasp, self._terms, self.post_field, self._gains, self._arms, q, v, self.box)
             torques = self._fade(self._torques(self._grasp))
         self._count += 1
         self._last = torques
@@ -248,7 +315,7 @@ class ReferenceSpreading:
         if self._held >= round(self.settings.dwell / self._tick) or late:
             compute_terms(self._arms, q, v, self._terms)
             self._enter("post")
-            self._post = self._make_post_field()
+            self.post_field = self._make_post_field()
             self._switched = self._count
 
     def _since_impact(self, rise: float) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from impact_envs.errors import InputError, choices
+from impact_envs.floating_manipulator.contact import compute_contact
 from impact_envs.physics.multibody import (
     Chain,
     compute_bias,
@@ -23,6 +24,7 @@ from impact_envs.physics.multibody import (
     factorise,
     solve_factorised,
 )
+from planners.floating_manipulator.compensation import compensate, keep_off
 from planners.floating_manipulator.riccati import RiccatiScratch, make_riccati_scratch, solve_riccati
 
 Coefficients = Literal["absolute_output", "printed"]
@@ -273,7 +275,7 @@ class OutputRegulator:
         if sdc not in COEFFICIENTS:
             raise InputError(f"sdc '{sdc}' is unknown; {choices(sdc, COEFFICIENTS)}")
         self._scratch = make_output_scratch(len(chain.inertia) - 1)
-        np.fill_diagonal(self._scratch.Q, state_weights)
+        self._weights = np.array(state_weights, dtype=float)
         self._chain, self._goal = chain, np.array(goal, dtype=float)
         self._printed = sdc == "printed"
         self.reset()
@@ -282,9 +284,15 @@ class OutputRegulator:
         """Forget the last gain."""
         self._scratch.K[:] = 0.0
         self._known = False
+        self._rates = np.zeros(len(self._chain.inertia) - 1)
 
     def control(
-        self, q: np.ndarray, v: np.ndarray, effort: float, momenta: np.ndarray | None = None
+        self,
+        q: np.ndarray,
+        v: np.ndarray,
+        effort: float,
+        momenta: np.ndarray | None = None,
+        speed_weight: float = 1.0,
     ) -> tuple[np.ndarray, Source]:
         """Return the joint torques, and where they came from.
 
@@ -293,6 +301,7 @@ class OutputRegulator:
             effort: r in R = r 1.
             momenta: P_x, P_y and L about the world's origin, shape (3,) [N s], [N m s], which then decide the base's
                 rates instead of v.
+            speed_weight: factor on the weights of the tip's velocity in Q.
 
         Returns:
             Torques before the motors' limits, shape (n,) [N m]; "riccati", "last_gain", or "none" (zero torque).
@@ -301,6 +310,31 @@ class OutputRegulator:
         measured = momenta is None
         known = v[:3] if momenta is None else momenta
         case = self._goal, effort, self._printed
+        for i in range(4):
+            self._scratch.Q[i, i] = self._weights[i] if i < 2 else speed_weight * self._weights[i]
         solved = regulate(self._chain, q, v, known, measured, *case, self._scratch, u)
+        self._rates = v[3:]
         self._known = self._known or solved
         return u, "riccati" if solved else "last_gain" if self._known else "none"
+
+    def compensate(self, u: np.ndarray, damping: float) -> None:
+        """Change the torques of this step by `compensation.compensate`.
+
+        Args:
+            u: torques, shape (n,) [N m]; the result is written here.
+            damping: of joint motion that the tip does not feel [N m s/rad].
+        """
+        compensate(self._scratch.drift, self._scratch.B, self._rates, damping, u)
+
+    def keep_off(self, u: np.ndarray, box: np.ndarray, size: tuple[float, float], radius: float) -> None:
+        """Change the torques of this step by `compensation.keep_off`.
+
+        Args:
+            u: torques, shape (n,) [N m]; the result is written here.
+            box: x, y, heading, vx, vy, omega, shape (6,) [m], [rad], [m/s], [rad/s].
+            size: its length and width [m].
+            radius: of the tip [m].
+        """
+        tip = (*self._scratch.z.tolist(), *self._scratch.drift.tolist())
+        contact = compute_contact(tip, radius, tuple(box.tolist()), size[0] / 2, size[1] / 2)
+        keep_off(contact, self._scratch.B, u)

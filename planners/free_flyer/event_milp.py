@@ -72,7 +72,8 @@ def make_free_flyer_plan(
     A task that leaves no room for the reserves is planned with half of them, then with a quarter.
 
     Args:
-        scenario: any numbers of robots and disc objects; only believed physics are read.
+        scenario: any numbers of robots and objects; only believed physics are read. An object that is no disc is
+            planned as the disc round it; who executes the plan hits it through its centre (see pilot).
         max_impacts: greatest number of impacts tried; as many as 6, and 3 for every further object without.
         time_limit: wall time for all stages [s].
         solver: "highs", or one of `planners.solvers.SOLVERS` that is installed.
@@ -91,6 +92,8 @@ def make_free_flyer_plan(
     if max_impacts is None:
         max_impacts = 3 + 3 * len(scenario.objects)
     _check_arguments(scenario, max_impacts, time_limit)
+    discs = {name: item.model_copy(update={"vertices": None}) for name, item in scenario.objects.items()}
+    scenario = scenario.model_copy(update={"objects": discs})
     check_solver(solver)
     budget = Budget(time_limit, solver)
     demands = read_demands(scenario, reserves.wall)
@@ -323,6 +326,3 @@ def _check_arguments(scenario: FreeFlyerScenario, max_impacts: int, time_limit: 
         raise InputError(f"time_limit is {time_limit} s, it must be positive")
     if not scenario.objects:
         raise InputError(f"{scenario.name}: objects: this planner takes at least one, got none")
-    for name, body in scenario.objects.items():
-        if body.vertices is not None:
-            raise InputError(f"{scenario.name}: objects.{name}: this planner takes disc objects, got a polygon")

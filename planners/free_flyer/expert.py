@@ -34,7 +34,7 @@ from planners.plan import Plan
 
 ONE_HOT = 6
 # What is no fallback of the expert but its daily work.
-ROUTINE = ("replans", "retimed")
+ROUTINE = ("replans", "retimed", "avoided")
 
 
 def check_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:

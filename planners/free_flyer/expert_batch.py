@@ -45,6 +45,8 @@ class FreeFlyerExpertBatch:
         threads: int = 1,
     ) -> None:
         check_plan(scenario, plan)
+        if count < 1:
+            raise InputError(f"count = {count}: at least 1 world is needed")
         announce(run_experts)
         self.count, self.robots = count, len(scenario.robots)
         self.size = BODY_SIZE * len(scenario.bodies) + self.robots + TAIL_SIZE - 1

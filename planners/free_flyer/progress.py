@@ -81,8 +81,23 @@ COUNTERS = (
     "shifted_plan",
     "lqr",
     "no_measurement",
+    "avoided",
+    "off_centre",
 )
-(REPLANS, RETRY, GIVE_UP, LOST, UNPLANNED, INSERTS, RETIMED, SHIFTED_PLAN, LQR, NO_MEASUREMENT) = range(len(COUNTERS))
+(
+    REPLANS,
+    RETRY,
+    GIVE_UP,
+    LOST,
+    UNPLANNED,
+    INSERTS,
+    RETIMED,
+    SHIFTED_PLAN,
+    LQR,
+    NO_MEASUREMENT,
+    AVOIDED,
+    OFF_CENTRE,
+) = range(len(COUNTERS))
 NOBODY, UNKNOWN = -2, -1  # in Progress.touch
 
 
@@ -102,7 +117,7 @@ class Progress(NamedTuple):
         hit: last impact of each object, shape (N, m, 14).
         clock: expected times of the planned impacts, shape (N, K) [s].
         shifted: inputs left of the last successful MPC, and how many, shape (N, r, 31).
-        counts: of what happened, see COUNTERS, shape (N, 10).
+        counts: of what happened, see COUNTERS, shape (N, 12).
     """
 
     time: np.ndarray

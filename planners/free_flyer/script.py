@@ -39,6 +39,8 @@ class Script(NamedTuple):
         own: rows (H, b) of the areas a robot may not leave, shape (r, g, 3), filled up by 0 p <= 1.
         breaks: breakpoints of the robots' curves, filled up by inf, shape (r, S + 1) [s].
         coefficients: of their segments in power basis, shape (r, S, d + 1, 2) [m].
+        side: of each object that is no disc, where a frictionless hit acts through its centre: unit vector from the
+            centre in the body frame and distance; no rows filled up by distance 0, shape (objects, d, 3).
         pilot: of each robot's tracking problem, shape (r, 33).
     """
 
@@ -54,6 +56,7 @@ class Script(NamedTuple):
     own: np.ndarray
     breaks: np.ndarray
     coefficients: np.ndarray
+    side: np.ndarray
     pilot: np.ndarray
 
 
@@ -90,6 +93,7 @@ def make_script(scenario: FreeFlyerScenario, plan: Plan) -> Script:
         _make_own_faces(scenario),
         breaks,
         coefficients,
+        _make_sides(scenario),
         np.array([build_tracking_problem(robot, scenario.control_period).row for robot in scenario.robots.values()]),
     )
 
@@ -139,3 +143,35 @@ def _find_walls(scenario: FreeFlyerScenario, name: str) -> list[np.ndarray]:
     sides = [(-1.0, 0.0, -scenario.world.lower[0]), (0.0, -1.0, -scenario.world.lower[1])]
     sides += [(1.0, 0.0, scenario.world.upper[0]), (0.0, 1.0, scenario.world.upper[1])]
     return [np.array([x, y, b - inset]) for x, y, b in sides]
+
+
+def _make_sides(scenario: FreeFlyerScenario) -> np.ndarray:
+    found = [find_central_hits(np.array(item.vertices or ())) for item in scenario.objects.values()]
+    sides = np.zeros((len(found), max(map(len, found), default=0), 3))
+    for i, rows in enumerate(found):
+        sides[i, : len(rows)] = rows
+    return sides
+
+
+def find_central_hits(vertices: np.ndarray) -> np.ndarray:
+    """Return where a disc that touches a convex polygon without friction pushes it through its centre, the origin.
+
+    On an edge that is the foot of the perpendicular from the origin, at a corner the line through it, if it lies in
+    the cone of the neighbouring edges' normals.
+
+    Args:
+        vertices: counter-clockwise, shape (v, 2) [m].
+
+    Returns:
+        Rows (unit vector from the origin, distance), shape (d, 3).
+    """
+    rows = []
+    for a, b, c in zip(np.roll(vertices, 1, axis=0), vertices, np.roll(vertices, -1, axis=0), strict=True):
+        edge = c - b
+        along = -(b @ edge) / (edge @ edge)
+        foot = b + along * edge
+        if 0.0 < along < 1.0 and np.hypot(*foot) > 0.0:
+            rows.append((*foot / np.hypot(*foot), np.hypot(*foot)))
+        if b @ (a - b) <= 0.0 and b @ (c - b) <= 0.0:
+            rows.append((*b / np.hypot(*b), np.hypot(*b)))
+    return np.array(rows).reshape(-1, 3)
