@@ -21,7 +21,7 @@ def keep_off(
 ) -> tuple[float, float, float]:
     r"""Return the acceleration nearest to a wish with which robot r can still brake before all bodies but its target.
 
-    (v_r - v_j) . n + h a . n <= sqrt(2 b max(d - d_min, 0)) for each body j, n from robot to body, b the braking
+    (v_r - v_j) . n + h a . n <= sqrt(b^2 h^2 + 2 b max(d - d_min, 0)) - b h for each body j, n from robot to body, b the braking
     acceleration (of both, if both are robots): the row of a barrier, projected onto in turn. What the limits leave
     of it is slack; a robot that hits, or that comes from an impact, is exempt from the object it hits.
 
@@ -54,7 +54,8 @@ def keep_off(
             brake = BRAKING * most
             if j < script.robots and progress.course[k, j, IMPACT] == 0.0:
                 brake *= 2.0
-            fastest = math.sqrt(2.0 * brake * max(room, 0.0))
+            lost = brake * h  # a control period passes before it brakes
+            fastest = math.sqrt(lost * lost + 2.0 * brake * max(room, 0.0)) - lost
             excess = (z[2] - y[2]) * nx + (z[3] - y[3]) * ny + h * (ax * nx + ay * ny) - fastest
             if excess > 0.0:
                 slack, changed = max(slack, excess), True

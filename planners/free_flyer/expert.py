@@ -18,11 +18,13 @@ from planners.free_flyer.loop import CONTROL, OBSERVE, START, run_experts
 from planners.free_flyer.options import EXPERT, VARIANTS, Options
 from planners.free_flyer.progress import (
     COUNTERS,
+    FACTOR,
     IMPACT_INDEX,
     INSERTED,
     RATIO,
     SCALE,
     SEEN,
+    SPREAD,
     TIME,
     TURN,
     make_progress,
@@ -96,7 +98,7 @@ class FreeFlyerExpert:
     """
 
     correction_size = 2
-    feature_size = ONE_HOT + 17
+    feature_size = ONE_HOT + 21
 
     def __init__(
         self, scenario: FreeFlyerScenario, plan: Plan, variant: str | None = None, options: Options | None = None
@@ -186,11 +188,12 @@ class FreeFlyerExpert:
         """Return what a learner may see of the coming impact (of the one a correction is awaited for, if any).
 
         Returns:
-            Shape (23,): one-hot number of the impact in the plan (6); time / horizon; time to the impact [s]; duration
+            Shape (27,): one-hot number of the impact in the plan (6); time / horizon; time to the impact [s]; duration
             of the leg after it [s]; predicted position of the object at the impact minus planned (2) [m]; velocity of
             the object (2), desired velocity (2), desired change (2) [m/s]; change over commanded change at the last
             impact of this object, 1 before any; number of such observations; position (2) [m] and velocity (2) [m/s]
-            of the robot relative to the object. Zeros when no impact is to come.
+            of the robot relative to the object; estimated over believed velocity gain and its standard deviation;
+            estimated drift of the object (2) [m/s^2]. Zeros when no impact is to come.
         """
         script, progress, o = self.script, self.progress, int(self._due[0])
         if o == END:
@@ -218,6 +221,8 @@ class FreeFlyerExpert:
                 wish - [vx, vy],
                 [hit[RATIO] or 1.0, hit[SEEN]],
                 z[int(planned[ROBOT]), :4] - z[body, :4],
+                [hit[FACTOR], math.sqrt(hit[SPREAD])],
+                z[body, 4:6],
             ]
         )
 
