@@ -40,7 +40,7 @@ EXPERTS = {
 # Experts' published forms and baselines, by the names they go by as policies.
 VARIANTS = {
     "dual_arm": ("published", "no_impact_map", "no_interim_phase", "no_synchronisation"),
-    "floating_manipulator": ("printed", "measured_base"),
+    "floating_manipulator": ("published", "printed", "measured_base"),
     "free_flyer": ("one_replan", "paper_expert", "with_learning", "with_retiming", "with_drift"),
 }
 
@@ -79,7 +79,7 @@ def make_expert(scenario: str | Path | Scenario, plan: Plan | None = None, varia
         variant: a published form or baseline to compare the expert with, see list_variants.
 
     Returns:
-        A Policy; a free-flyer's also takes corrections (see agents.residual).
+        A Policy that also takes corrections (see agents.residual), where the variant does.
 
     Raises:
         InputError, PlanningError: as make_plan; InputError also when the plan is another scenario's, or the variant is

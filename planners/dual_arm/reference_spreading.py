@@ -114,8 +114,8 @@ class Settings:
 
 
 SHIPPED = Settings()
-# As published, with a reference that turns towards the impact later and more slowly, and looser synchronisation: from
-# far starts its pads meet the box up to 3 cm too high and up to 21 ms apart.
+# As published, with a reference that turns towards the impact more slowly and looser synchronisation: from far starts
+# its pads meet the box beside the middle of its faces, and at different times.
 PAPER = Settings(
     alpha=10.0,
     r_min=0.24,

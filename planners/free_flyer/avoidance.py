@@ -21,9 +21,9 @@ def keep_off(
 ) -> tuple[float, float, float]:
     r"""Return the acceleration nearest to a wish with which robot r can still brake before all bodies but its target.
 
-    (v_r - v_j) . n + h a . n <= sqrt(b^2 h^2 + 2 b max(d - d_min, 0)) - b h for each body j, n from robot to body, b the braking
-    acceleration (of both, if both are robots): the row of a barrier, projected onto in turn. What the limits leave
-    of it is slack; a robot that hits, or that comes from an impact, is exempt from the object it hits.
+    (v_r - v_j) . n + h a . n <= sqrt(b^2 h^2 + 2 b max(d - d_min, 0)) - b h for each body j, n from robot to body, b
+    the braking acceleration (of both, if both are robots): the row of a barrier, projected onto in turn. What the
+    limits leave of it is slack; a robot that hits is exempt from the object it hits.
 
     Args:
         script: who is who.

@@ -184,7 +184,7 @@ def update_estimates(script: Script, progress: Progress, k: int, joint: np.ndarr
     for i in range(n):
         z, at = progress.filter[k, i], BODY_SIZE * i
         miss = math.hypot(joint[k, at] - z[0], joint[k, at + 1] - z[1])
-        if miss > SURPRISE * math.sqrt(z[6] + variance) + SURPRISE_FLOOR:
+        if math.isfinite(miss) and miss > SURPRISE * math.sqrt(z[6] + variance) + SURPRISE_FLOOR:
             shift(z, 0.0, 0.0, 0.0, 0.0, miss, miss / script.period)
             calm = False
     learn_noise(progress, k, joint, r, calm)

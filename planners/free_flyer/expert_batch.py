@@ -91,3 +91,9 @@ class FreeFlyerExpertBatch:
             self._pool = self._pool or ThreadPoolExecutor(self._threads)
             list(self._pool.map(run, range(self._threads)))
         return actions.reshape(self.count, -1)
+
+    def close(self) -> None:
+        """Let the threads go; the next act starts new ones."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None

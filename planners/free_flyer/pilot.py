@@ -47,7 +47,7 @@ from planners.free_flyer.progress import (
     find_next_event,
     find_strike,
 )
-from planners.free_flyer.retiming import look_ahead
+from planners.free_flyer.retiming import is_reachable, look_ahead
 from planners.free_flyer.script import (
     AT,
     END,
@@ -68,6 +68,7 @@ from planners.free_flyer.strike import (
     learn_from_hits,
     remember_before,
     set_clocks,
+    set_time,
     start_strikes,
     take_contact,
     take_misses,
@@ -77,6 +78,7 @@ from planners.free_flyer.two_body import compute_velocity_gain, solve_two_body_i
 
 REPLAN_WINDOW = 20.0  # before an impact [s]
 CENTRAL = 0.966  # cosine by which an impulse may turn to go through the centre of an object that is no disc
+POSTPONEMENTS = 10  # of a second each
 OFF_COURSE = 0.1  # tracking error above which a course starts from the estimated state [m]
 SCALE_RANGE = 0.5  # of the logarithm of the impulse, at correction 1
 ROTATION_RANGE = 0.3  # of the impulse, at correction 1 [rad]
@@ -113,6 +115,8 @@ def observe_world(script: Script, progress: Progress, options: Options, k: int, 
         The object whose coming impact's correction is due, or END.
     """
     now = joint[k, BODY_SIZE * len(script.body) + script.robots] * script.horizon
+    if not math.isfinite(now):
+        now = progress.time[k] + script.period
     remember_before(script, progress, k)
     update_estimates(script, progress, k, joint, now)
     for r in range(script.robots):
@@ -142,7 +146,9 @@ def control_world(
     now = progress.time[k]
     due = find_due(script, progress, k, now)
     while due != END:
-        progress.strike[k, due, DECIDED], progress.strike[k, due, REPLANNED] = 1.0, -math.inf
+        progress.strike[k, due, DECIDED] = 1.0
+        if not options.once:
+            progress.strike[k, due, REPLANNED] = -math.inf
         due = find_due(script, progress, k, now)
     for r in range(script.robots):
         o = find_strike(progress, k, r)
@@ -168,10 +174,10 @@ def should_replan(progress: Progress, options: Options, k: int, r: int, o: int, 
 
 
 @compiled
-def replan(script: Script, progress: Progress, options: Options, k: int, r: int, o: int, now: float) -> None:
-    """Plan the course of robot r to its impact on object o, from the object as it is seen now."""
+def solve_strike(script: Script, progress: Progress, options: Options, k: int, r: int, o: int, now: float) -> None:
+    """Solve the two-body problem of robot r's impact on object o, from the object as it is seen now."""
     strike, body = progress.strike[k, o], script.robots + o
-    time, index, inserted = strike[TIME], int(strike[IMPACT_INDEX]), strike[INSERTED] > 0.0
+    time = strike[TIME]
     x, y, vx, vy = extrapolate(progress, k, body, time)
     if options.drift:
         hasten(script, progress, k, o)
@@ -202,12 +208,23 @@ def replan(script: Script, progress: Progress, options: Options, k: int, r: int,
     strike[PLUS_X], strike[PLUS_Y] = solution.robot_plus
     strike[OBJECT_X], strike[OBJECT_Y] = solution.object_minus
     strike[CHANGE] = math.hypot(solution.object_plus[0] - vx, solution.object_plus[1] - vy)
+
+
+@compiled
+def replan(script: Script, progress: Progress, options: Options, k: int, r: int, o: int, now: float) -> None:
+    """Plan the course of robot r to its impact on object o; a robot that lost its course may put the impact off."""
+    strike = progress.strike[k, o]
+    solve_strike(script, progress, options, k, r, o, now)
     begin = evaluate_course(progress.course, script.breaks, script.coefficients, k, r, now)
     z = progress.filter[k, r]
     if math.hypot(begin[0] - z[0], begin[1] - z[1]) > OFF_COURSE:
         progress.counts[k, LOST] += 1
         begin = (z[0], z[1], z[2], z[3], begin[4], begin[5])
-    planned = -1.0 if inserted else script.impact[index, AT]
+        if options.retime:
+            postpone(script, progress, options, k, r, o, now)
+    time, contact = strike[TIME], (strike[CONTACT_X], strike[CONTACT_Y])
+    index = int(strike[IMPACT_INDEX])
+    planned = -1.0 if strike[INSERTED] > 0.0 else script.impact[index, AT]
     approach(
         progress.course,
         script.breaks,
@@ -216,13 +233,29 @@ def replan(script: Script, progress: Progress, options: Options, k: int, r: int,
         r,
         now,
         begin,
-        solution.contact,
-        solution.robot_minus,
+        contact,
+        (strike[MINUS_X], strike[MINUS_Y]),
         time,
         planned,
     )
     strike[REPLANNED] = now
     progress.counts[k, REPLANS] += 1
+
+
+@compiled
+def postpone(script: Script, progress: Progress, options: Options, k: int, r: int, o: int, now: float) -> None:
+    """Put the impact of robot r on object o off until the robot can be there, by at most 10 s."""
+    strike = progress.strike[k, o]
+    for _ in range(POSTPONEMENTS):
+        x, y, vx, vy = strike[CONTACT_X], strike[CONTACT_Y], strike[MINUS_X], strike[MINUS_Y]
+        later = strike[TIME] + 1.0
+        if later >= script.horizon or is_reachable(script, progress, k, r, x, y, vx, vy, strike[TIME] - now):
+            return
+        if strike[INSERTED] > 0.0:
+            strike[TIME] = later
+        else:
+            set_time(script, progress, k, o, int(strike[IMPACT_INDEX]), later)
+        solve_strike(script, progress, options, k, r, o, now)
 
 
 @compiled

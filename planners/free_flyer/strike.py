@@ -336,7 +336,7 @@ def aim(script: Script, progress: Progress, options: Options, k: int, o: int) ->
     target_x, target_y = script.knot[knot, KNOT_X], script.knot[knot, KNOT_Y]
     duration = max(due - time, SHORTEST_LEG if last else 2.0)
     limit = script.body[body, SPEED]
-    if not last or not options.insert:
+    if not last or not options.insert or script.knot[knot, FACES] == 0.0:
         return compute_desired_velocity(x, y, target_x, target_y, duration, z[4], z[5], limit)
     # How deep is enough grows to the plan's depth with the time that is left.
     extra = min(max(duration / FULL_CORRECTION - 0.5, 0.0) * 2.0, 1.0)
@@ -358,12 +358,12 @@ def aim(script: Script, progress: Progress, options: Options, k: int, o: int) ->
 
 @compiled
 def compute_turn(script: Script, progress: Progress, k: int, o: int, wish_x: float, wish_y: float) -> float:
-    """Return the cosine between the reference normal and the change to a velocity at object o's coming impact."""
+    """Return the cosine between reference normal and change to a velocity at object o's coming impact; 1 for none."""
     strike = progress.strike[k, o]
     _, _, vx, vy = extrapolate(progress, k, script.robots + o, strike[TIME])
     dx, dy = wish_x - vx, wish_y - vy
-    along = dx * strike[REFERENCE_X] + dy * strike[REFERENCE_Y]
-    return along / max(math.hypot(dx, dy), ROUND_OFF)
+    size = math.hypot(dx, dy)
+    return 1.0 if size < ROUND_OFF else (dx * strike[REFERENCE_X] + dy * strike[REFERENCE_Y]) / size
 
 
 @compiled

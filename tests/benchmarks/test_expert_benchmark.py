@@ -1,0 +1,113 @@
+import json
+import sys
+from collections.abc import Iterator
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from impact_envs import load_scenario
+from impact_envs.errors import InputError
+from planners import make_plan
+
+FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
+LOOPS = ["batch, LQR", "batch, MPC", "one world, MPC", "one world, published MPC by ipopt"]
+
+
+@pytest.fixture(scope="module")
+def benchmark() -> Iterator[ModuleType]:
+    sys.path.insert(0, str(FOLDER))
+    spec = spec_from_file_location("expert_benchmark", FOLDER / "expert_in_loop.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    yield module
+    sys.path.remove(str(FOLDER))
+
+
+@pytest.fixture
+def methods(benchmark: ModuleType) -> Any:
+    return sys.modules["expert_in_loop_methods"]
+
+
+def test_a_small_run_writes_everything(
+    benchmark: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "rates.json"
+    benchmark.main(benchmark.Args(batch=3, steps=4, published_steps=2, repeats=2, out=out))
+    record = json.loads(out.read_text())
+    assert [row["loop"] for row in record["rows"]] == LOOPS
+    assert [(run["method"], run["batch"], run["steps"]) for run in record["runs"]] == 2 * [
+        (LOOPS[0], 3, 4),
+        (LOOPS[1], 3, 4),
+        (LOOPS[2], 1, 4),
+        (LOOPS[3], 1, 2),
+    ]
+    assert all(0.0 < row["act p50 [us]"] <= row["act p99 [us]"] for row in record["rows"])
+    assert [len(record["acts"][name]) for name in LOOPS] == [8, 8, 8, 4]
+    assert record["rows"][3]["over published"] == 1.0
+    solves = [row for row in record["solves"] if row["problems"] == "all"]
+    assert [row["solves"] for row in solves] == [8, 8, 8]  # two robots
+    assert solves[0]["off p99"] == 0.0
+    assert solves[1]["off p99"] < 0.01
+    assert all(row["failed"] == 0 for row in solves)
+    assert all(check["met"] in (True, False) for check in record["checks"])
+    assert {check["what"] for check in record["checks"]} >= {"published MPC, ipopt / ours, all"}
+    printed = capsys.readouterr().out
+    assert "load before" in printed
+    assert "| batch, LQR" in printed
+    assert f"{record['rows'][0]['env-steps/s']:,.0f}" in printed
+
+
+def test_published_mpc_hits_as_ours_does(methods: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half a second after the first impact, at 9.7 s, all bodies are where our tracker brings them."""
+    scenario, envs, make = load_scenario("throw_and_catch"), list[Any](), methods.parallel_env
+    plan = make_plan(scenario)
+    monkeypatch.setattr(methods, "parallel_env", lambda scenario: envs.append(make(scenario)) or envs[-1])
+    for loop, steps in ((methods.make_published(scenario, plan), 20), (methods.make_single(scenario, plan), 102)):
+        assert loop.run(steps) > 0.0
+        assert len(loop.acts) == steps
+    published, ours = (env.model.state() for env in envs)
+    assert np.hypot(*ours[2, 2:4]) > 0.05  # it was hit
+    np.testing.assert_allclose(published[:, :2], ours[:, :2], atol=0.02)
+    np.testing.assert_allclose(published[2, 2:4], ours[2, 2:4], atol=0.01)
+
+
+def test_interrupted_run_prints_what_is_measured(
+    benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(benchmark, "make_batch", interrupt)
+    record = benchmark.main(benchmark.Args(repeats=1))
+    assert record["rows"] == record["checks"] == []
+    assert "stopped after 0 measurements" in capsys.readouterr().err
+
+
+def test_checks_compare_with_what_is_asked(benchmark: ModuleType) -> None:
+    found = benchmark.Findings()
+    for name, batch, seconds in zip(LOOPS, (1000, 1000, 1, 1), (1.0, 5.0, 0.01, 2.5), strict=True):
+        found.runs.append(benchmark.Run(name, batch, 50, seconds, seconds))
+        found.acts[name] = [2e-3]
+    rows = benchmark.make_rows(found)
+    assert [row["env-steps/s"] for row in rows] == [50000.0, 10000.0, 5000.0, 20.0]
+    met = {check["what"]: check["met"] for check in benchmark.make_checks(rows, [])}
+    assert met == {
+        "batch, LQR: env-steps/s": False,
+        "batch, MPC: env-steps/s": True,
+        "batch, MPC / one world, published MPC by ipopt": True,
+        "p99 of act per robot [us]": False,
+    }
+
+
+def test_bad_arguments_are_refused(benchmark: ModuleType) -> None:
+    with pytest.raises(InputError, match="must be positive"):
+        benchmark.main(benchmark.Args(repeats=0))
+    with pytest.raises(InputError, match="dual_arm_grasp: domain dual_arm has no such loop; choices: free_flyer"):
+        benchmark.main(benchmark.Args(scenario="dual_arm_grasp"))
