@@ -17,16 +17,17 @@ from impact_envs import drawing
 from impact_envs.errors import InputError
 from impact_envs.floating_manipulator.task import FloatingManipulatorTask
 from impact_envs.rollout import Episode
+from impact_envs.shape import Shape
 from train.manipulator_record import ManipulatorRecord
 from train.plan_map import hex_color
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
-SIZE, DPI = (19.2, 10.8), 100  # [in], [1/in]
-SNAPSHOTS = 6  # of the motion, the impact's apart
-LABEL_ROOM = 0.6  # between the times written beside them [m]
+SIZE, DPI = (19.2, 15.0), 100  # [in], [1/in]
+COLUMNS, SNAPSHOTS = 4, 6
+MARGIN = 0.3  # around the motion [m]
 THIN = 0.9  # [pt]
 AXES = (("x", drawing.ROBOT_COLORS[0]), ("y", drawing.OBJECT_COLORS[0]), ("angular", drawing.ROBOT_COLORS[1]))
 
@@ -50,68 +51,98 @@ def save_manipulator_picture(record: ManipulatorRecord, episode: Episode, path: 
 
 
 def draw_manipulator_episode(record: ManipulatorRecord, episode: Episode) -> Figure:
-    """Draw an episode: the motion on the left, histories right and below.
+    """Draw an episode: snapshots of the motion above, histories below.
 
     Args:
         record: what was watched.
         episode: the same one.
 
     Returns:
-        A figure of 1920 x 1080 pixels, in no global state.
+        A figure of 1920 x 1500 pixels, in no global state.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(SIZE, DPI, facecolor=hex_color(drawing.PAPER), layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(4, 4)
-    _draw_motion(figure.add_subplot(grid[:2, :2]), record, episode)
-    cells = itertools.chain(itertools.product((0, 1), (2, 3)), itertools.product((2, 3), range(4)))
+    rows = figure.add_gridspec(2, 1, height_ratios=(2, 3))
+    above, below = (figure.add_subfigure(rows[place]) for place in range(2))
+    verdict = "satisfied" if episode.success else "violated"
+    above.suptitle(f"{episode.scenario}, {episode.policy}: robustness {episode.robustness:.3f}, {verdict}", fontsize=12)
+    _draw_motion(above, record, episode)
     histories = [*_list_histories(record, episode), *_list_torques(record, episode)]
-    for (row, column), (title, curves) in zip(cells, histories, strict=False):
-        axes = figure.add_subplot(grid[row, column])
+    grid = below.add_gridspec(math.ceil(len(histories) / COLUMNS), COLUMNS)
+    for place, (title, curves) in enumerate(histories):
+        axes = below.add_subplot(grid[divmod(place, COLUMNS)])
         _draw_history(axes, title, curves, episode.times)
         _mark_phases(axes, record)
-        if row == 3:
+        if place >= len(histories) - COLUMNS:
             axes.set_xlabel("time [s]", fontsize=8)
-    verdict = "satisfied" if episode.success else "violated"
-    figure.suptitle(
-        f"{episode.scenario}, {episode.policy}: robustness {episode.robustness:.3f}, {verdict}", fontsize=12
-    )
     return figure
 
 
-def _draw_motion(axes: Axes, record: ManipulatorRecord, episode: Episode) -> None:
-    """Draw the paths of tip, base and box, and snapshots of all bodies, the later the stronger."""
-    scenario, signals = record.scenario, episode.signals
-    instants = [float(t) for t in np.linspace(0.0, episode.times[-1], SNAPSHOTS)]
-    instants += [hit.impact.time for hit in record.collisions[:1]]
-    shapes = FloatingManipulatorTask(scenario).shapes()
-    colors, labelled = _body_colors(scenario.links), list[tuple[float, float]]()
-    for shape in shapes:
-        if shape.body is None and shape.vertices:
-            edge = hex_color(drawing.REGION_EDGE)
-            axes.fill(*np.transpose(shape.vertices), facecolor="none", edgecolor=edge, lw=THIN)
+def _draw_motion(figure: SubFigure, record: ManipulatorRecord, episode: Episode) -> None:
+    """Draw snapshots of all bodies, with the paths of tip, base and box so far, all to the same scale."""
+    shapes = FloatingManipulatorTask(record.scenario).shapes()
+    instants = _choose_instants(record, float(episode.times[-1]))
+    samples = [min(round(instant / episode.period), len(episode.times) - 1) for instant in instants]
+    drawn = np.concatenate([_place(shape, episode.signals, k) for shape in shapes for k in samples if shape.vertices])
+    low, high = drawn.min(0) - MARGIN, drawn.max(0) + MARGIN
+    panels = figure.subplots(2, SNAPSHOTS // 2, sharex=True, sharey=True).ravel()
+    for axes, instant, k in zip(panels, instants, samples, strict=True):
+        _draw_snapshot(axes, record, episode, shapes, k)
+        axes.set_title(f"{instant:.2f} s{_name_instant(record, instant)}", fontsize=9, loc="left")
+        axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        axes.tick_params(labelsize=7)
+        axes.grid(color=hex_color(drawing.GRID), lw=0.6)
+        axes.label_outer()
+    for axes in panels[SNAPSHOTS // 2 :]:
+        axes.set_xlabel("x [m]", fontsize=8)
+    for axes in panels[:: SNAPSHOTS // 2]:
+        axes.set_ylabel("y [m]", fontsize=8)
+    panels[0].legend(loc="upper left", fontsize=7, framealpha=0.8)
+
+
+def _choose_instants(record: ManipulatorRecord, end: float) -> list[float]:
+    """Return the start, the first impact, the end of its pause, the end, and the middles of the longest gaps [s]."""
+    instants = {0.0, end}
+    for hit in record.collisions[:1]:
+        instants |= {hit.impact.time, min(hit.impact.time + record.scenario.safety_pause, end)}
+    while len(instants) < SNAPSHOTS:
+        start, stop = max(itertools.pairwise(sorted(instants)), key=lambda pair: pair[1] - pair[0])
+        instants.add((start + stop) / 2)
+    return sorted(instants)
+
+
+def _name_instant(record: ManipulatorRecord, instant: float) -> str:
+    """Return what happens at an instant, as the end of a title."""
+    for hit in record.collisions[:1]:
+        if instant == hit.impact.time:
+            return ", impact"
+        if instant == hit.impact.time + record.scenario.safety_pause:
+            return ", end of the safety pause"
+    return ""
+
+
+def _draw_snapshot(
+    axes: Axes, record: ManipulatorRecord, episode: Episode, shapes: Sequence[Shape], sample: int
+) -> None:
+    """Draw all bodies at a sample, where they came from, and the impacts up to then."""
+    signals, colors = episode.signals, _body_colors(record.scenario.links)
     for body in ("tip", "base", "box"):
-        axes.plot(signals[f"{body}.x"], signals[f"{body}.y"], color=colors[body], lw=THIN, label=body)
-    for instant in sorted(instants):
-        k = min(round(instant / episode.period), len(episode.times) - 1)
-        strength = 0.2 + 0.8 * instant / max(episode.times[-1], episode.period)
-        for shape in shapes:
-            if shape.body is not None and shape.vertices:
-                pose = tuple(float(signals[f"{shape.body}.{name}"][k]) for name in ("x", "y", "heading"))
-                corners = _place(shape.vertices, *pose)
-                color = colors[shape.body]
-                axes.fill(*corners.T, facecolor=(color, 0.35 * strength), edgecolor=(color, strength), lw=THIN)
-        here = float(signals["base.x"][k]), float(signals["base.y"][k])
-        if all(math.dist(here, other) > LABEL_ROOM for other in labelled):
-            axes.text(*here, f"{instant:.1f} s", fontsize=7, ha="center", va="center")
-            labelled.append(here)
+        path = [signals[f"{body}.{axis}"][: sample + 1] for axis in "xy"]
+        axes.plot(*path, color=colors[body], lw=THIN, label=body)
+    for shape in shapes:
+        if not shape.vertices:
+            continue
+        corners = _place(shape, signals, sample)
+        if shape.body is None:
+            axes.fill(*corners.T, facecolor="none", edgecolor=hex_color(drawing.REGION_EDGE), lw=THIN)
+        else:
+            axes.fill(*corners.T, facecolor=(colors[shape.body], 0.35), edgecolor=colors[shape.body], lw=THIN)
     for hit in record.collisions:
-        axes.plot(*hit.impact.point, "*", color=hex_color(drawing.IMPACT), ms=10, mec="white", mew=0.5, zorder=5)
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    axes.legend(loc="upper left", fontsize=8, framealpha=0.8)
-    axes.grid(color=hex_color(drawing.GRID), lw=0.6)
+        if hit.impact.time <= (sample + 1) * episode.period:
+            axes.plot(*hit.impact.point, "*", color=hex_color(drawing.IMPACT), ms=10, mec="white", mew=0.5, zorder=5)
 
 
 History = tuple[str, list[tuple[str, np.ndarray, str]]]
@@ -184,7 +215,10 @@ def _body_colors(links: Mapping[str, Any]) -> dict[str, str]:
     return colors | {"box": hex_color(drawing.OBJECT_COLORS[0]), "tip": hex_color(drawing.INK)}
 
 
-def _place(vertices: Sequence[tuple[float, float]], x: float, y: float, heading: float) -> np.ndarray:
-    """Return a body's corners in the world, shape (n, 2) [m]."""
-    cos, sin = np.cos(heading), np.sin(heading)
-    return np.asarray(vertices) @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+def _place(shape: Shape, signals: Mapping[str, np.ndarray], sample: int) -> np.ndarray:
+    """Return a shape's corners in the world at a sample, shape (n, 2) [m]."""
+    if shape.body is None:
+        return np.asarray(shape.vertices)
+    x, y, heading = (float(signals[f"{shape.body}.{name}"][sample]) for name in ("x", "y", "heading"))
+    cos, sin = math.cos(heading), math.sin(heading)
+    return np.asarray(shape.vertices) @ np.array([[cos, sin], [-sin, cos]]) + (x, y)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
+from numba import njit
 
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Motor, Physics
 
@@ -29,15 +31,31 @@ def compute_forces(
     Source: Nekoo, Sharf & Ollero, Eq. 34 and Sec. 4.4.
     """
     force = np.zeros(len(v))
-    drop = physics.stall_torque * v[3:] / physics.no_load_speed
-    force[3:] = np.clip(controls["arm"], -physics.stall_torque - drop, physics.stall_torque - drop)
+    limit_torques(v, physics.stall_torque, physics.no_load_speed, controls["arm"], force)
     if "base" in controls:
-        fx, fy, torque = controls["base"]
+        fx, fy, torque = controls["base"].tolist()
         dead = scenario.thrusters.dead_zone if scenario.thrusters else 0.0
         for axis, command in enumerate((fx, fy)):
-            force[axis] = np.sign(command) * physics.thruster_force if abs(command) > dead else 0.0
-        force[2] = _limit_torque(scenario.wheel, torque, v[2])
+            force[axis] = math.copysign(physics.thruster_force, command) if abs(command) > dead else 0.0
+        force[2] = _limit_torque(scenario.wheel, torque, float(v[2]))
     return force
+
+
+@njit(cache=True)
+def limit_torques(
+    v: np.ndarray, stall_torque: np.ndarray, no_load_speed: np.ndarray, command: np.ndarray, force: np.ndarray
+) -> None:
+    """Compute the torques that the joints' motors give.
+
+    Args:
+        v: rates of base and joints, shape (n + 3,).
+        stall_torque, no_load_speed: of the motors, shape (n,) [N m], [rad/s].
+        command: torques, shape (n,) [N m].
+        force: its last n elements are written, shape (n + 3,).
+    """
+    for j in range(len(command)):
+        drop = stall_torque[j] * v[3 + j] / no_load_speed[j]
+        force[3 + j] = min(max(command[j], -stall_torque[j] - drop), stall_torque[j] - drop)
 
 
 def _limit_torque(motor: Motor | None, torque: float, speed: float) -> float:

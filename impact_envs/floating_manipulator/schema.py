@@ -121,6 +121,11 @@ class Truth(Table):
     stall_torque_scale: Quantity = 1.0  # of every joint's motor
     no_load_speed_scale: Quantity = 1.0
     thruster_gain: Quantity = 1.0  # true over nominal force
+    position_noise: NonNegative = 0.0  # standard deviation per axis, of every body's measurement [m]
+    speed_noise: NonNegative = 0.0  # the same of velocities [m/s]
+    heading_noise: NonNegative = 0.0  # of headings, so that joint angles have sqrt(2) times as much [rad]
+    rate_noise: NonNegative = 0.0  # of their rates [rad/s]
+    delay_steps: Annotated[int, Field(ge=0, le=50)] = 0  # control periods between event and observation
 
     @model_validator(mode="after")
     def _limits(self) -> Self:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -22,7 +23,8 @@ LINK_WIDTH = 0.16  # of the arm as drawn [m]
 class FloatingManipulatorTask:
     """Intent of a floating-manipulator scenario.
 
-    Observation, float64, SI units, as measured, the same vector for both agents: base ``x, y, cos(psi), sin(psi)``
+    Observation, float64, SI units, as measured (with the true world's noise, as old as its delay; time and robustness
+    are exact), the same vector for both agents: base ``x, y, cos(psi), sin(psi)``
     [m, -]; joint angles ``q_1 ... q_n`` [rad]; base ``vx, vy, dpsi/dt`` [m/s, rad/s]; joint rates [rad/s]; tip
     relative to its goal ``x, y`` [m] and its velocity ``vx, vy`` [m/s]; box ``x, y, vx, vy, cos(heading),
     sin(heading), omega`` [m, m/s, -, rad/s]; ``contact`` (1 if the arm felt an impact in the last step),
@@ -44,6 +46,10 @@ class FloatingManipulatorTask:
         self.scenario = scenario
         self._n = len(scenario.links)
         self._limits = scenario.largest_commands
+        true = scenario.true
+        self._noise = np.array(
+            [true.position_noise] * 2 + [true.speed_noise] * 2 + [true.heading_noise, true.rate_noise]
+        )
         self._names = [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS] + list(scenario.extra_signals)
         self._w, self._rates = np.zeros((self._n + 1, 2)), np.zeros(self._n + 1)
         self.action_spaces = {agent: Box(-1.0, 1.0, limit.shape, np.float32) for agent, limit in self._limits.items()}
@@ -62,12 +68,15 @@ class FloatingManipulatorTask:
         self._physics = physics
         self._torques, self._impulse, self._since, self._samples = np.zeros(self._n), 0.0, self.scenario.horizon, 0
         self._hit: float | None = None
-        self._contact = False
-        self._take(states)
+        self._rng = rng
+        self._measured: deque[tuple[np.ndarray, bool]] = deque(maxlen=self.scenario.true.delay_steps + 1)
+        self._take(states, False)
 
     def controls(self, actions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Scale actions to commanded torques and forces [N m], [N]."""
-        controls = {name: np.clip(action, -1.0, 1.0) * self._limits[name] for name, action in actions.items()}
+        controls = {
+            name: np.minimum(np.maximum(action, -1.0), 1.0) * self._limits[name] for name, action in actions.items()
+        }
         self._torques = compute_forces(self.scenario, self._physics, self._v, controls)[3:]
         return controls
 
@@ -92,8 +101,7 @@ class FloatingManipulatorTask:
             impacts: impacts of the last control period.
         """
         felt = select_felt(impacts)
-        self._contact = bool(felt)
-        self._take(states)
+        self._take(states, bool(felt))
         self._samples += 1
         self._impulse = sum(math.hypot(*impact.impulse) for impact in impacts)
         if felt:
@@ -114,7 +122,8 @@ class FloatingManipulatorTask:
     def observe_jointly(self, time: float, bounds: tuple[float, float]) -> np.ndarray:
         """Return the observation, which is each agent's too."""
         vector = np.empty(self.joint_observation_space.shape)
-        write_observation(self._states, self._contact, time / self.scenario.horizon, bounds, vector)
+        states, contact = self._measured[0]
+        write_observation(states, contact, time / self.scenario.horizon, bounds, vector)
         return vector
 
     def signals(self, states: np.ndarray) -> dict[str, float]:
@@ -172,15 +181,18 @@ class FloatingManipulatorTask:
             for radius, label in zip(radii, labels, strict=False)
         ]
 
-    def _take(self, states: np.ndarray) -> None:
-        """Keep the present states, and the coordinates of the manipulator in them."""
+    def _take(self, states: np.ndarray, contact: bool) -> None:
+        """Keep the true coordinates of the manipulator, and what is measured, which is seen after the delay."""
         n = self._n
-        self._states = states
         self._q, self._v = np.empty(n + 3), np.empty(n + 3)
         for vector, columns in ((self._q, (0, 1, 4)), (self._v, (2, 3, 5))):
             for i, column in enumerate(columns):
                 vector[i] = states[0, column]
             vector[3:] = states[1 : n + 1, columns[2]] - states[:n, columns[2]]
+        measured = states.copy()
+        if self._noise.any():
+            measured[:-1] += self._noise * self._rng.standard_normal((len(states) - 1, 6))
+        self._measured.append((measured, contact))
 
 
 def _unbounded(size: int) -> Box:

@@ -169,3 +169,27 @@ def place(point, pose):
     (x, y), (px, py, heading) = point, pose
     c, s = math.cos(heading), math.sin(heading)
     return px + c * x - s * y, py + s * x + c * y
+
+
+def test_noise_and_delay_are_the_measurements_only():
+    quiet = short("floating_manipulator_thrusters")
+    noisy = quiet.override({"true.position_noise": 0.01, "true.rate_noise": 0.02, "true.delay_steps": 3})
+    seen = {}
+    for name, scenario in (("quiet", quiet), ("noisy", noisy)):
+        env = parallel_env(scenario)
+        observations, _ = env.reset(seed=4)
+        seen[name] = [observations["arm"]]
+        states = []
+        while env.agents:
+            observations, *_ = env.step({"arm": np.full(3, 0.02), "base": np.zeros(3)})
+            seen[name].append(observations["arm"])
+            states.append(env.model.state())
+        seen[name + " states"] = np.array(states)
+    np.testing.assert_array_equal(seen["quiet states"], seen["noisy states"])
+    true, measured = np.array(seen["quiet"]), np.array(seen["noisy"])
+    np.testing.assert_array_equal(true[:, -3], measured[:, -3])  # time is exact
+    error = measured[3:] - true[:-3]
+    assert error[:, 0].std() == pytest.approx(0.01, rel=0.15)
+    assert error[:, 10].std() == pytest.approx(0.02 * math.sqrt(2), rel=0.15)
+    assert not error[:, [2, 3, 4, 5, 6, 7, 8]].any()  # headings and velocities have no noise here
+    assert not (measured[:4, 2:9] - true[0, 2:9]).any()  # the first sample until the delay is over
