@@ -79,7 +79,7 @@ class Run:
     render: str | None = None
     """human, or a file ending in .mp4, .gif or .png (the last frame)."""
     plot: Path | None = None
-    """Draw a floating manipulator's whole episode: a file ending in .png, .pdf or .svg."""
+    """Draw a whole episode of a floating manipulator or of two arms: a file ending in .png, .pdf or .svg."""
     json: bool = False
 
     def run(self) -> dict[str, Any]:
@@ -112,10 +112,14 @@ class Run:
         env.close()
         if film:
             film.close()
-        if self.plot:
+        if self.plot and watcher:
             from train.manipulator_picture import save_manipulator_picture
 
             save_manipulator_picture(watcher, episode, self.plot)
+        elif self.plot:
+            from train.grasp_picture import save_grasp_picture
+
+            save_grasp_picture(scenario, policy, episode, self.plot)
         figures = watcher.figures(episode) if watcher else compute_figures(episode, scenario)
         return _episode_summary(episode, self.suite) | figures
 
@@ -357,10 +361,10 @@ def _make_record(scenario: Any, plot: Path | None) -> Any:
 
         check_picture_path(plot)
     if scenario.domain != "floating_manipulator":
-        if plot:
+        if plot and scenario.domain != "dual_arm":
             raise InputError(
                 f"--plot {plot}: scenario {scenario.name} is of domain {scenario.domain}; "
-                "choices: scenarios of domain floating_manipulator, or impact plan --plot"
+                "choices: scenarios of domain floating_manipulator or dual_arm, or impact plan --plot"
             )
         return None
     from train.manipulator_record import ManipulatorRecord

@@ -19,6 +19,7 @@ from impact_envs.errors import InputError, choices
 from impact_envs.scenario import Scenario, load_scenario
 from planners import has_planner, list_variants, make_plan
 from planners.plan import Plan
+from train.grasp_metrics import add_figures, add_torque_steps
 from train.metrics import compare, summarize
 from train.play import Case, Job, checkpoint_directory, follows_plan, is_built_in, make_policy, play
 from train.record import Journal, digest, episode_to_dict, row_key, write_json
@@ -34,9 +35,9 @@ class EvaluationResult:
     """What an evaluation found.
 
     Attributes:
-        rows: aggregates per scenario, suite and policy, see train.metrics.summarize.
-        paired: paired differences, see train.metrics.compare.
-        episodes: one row per episode, see train.record.make_row.
+        rows: aggregates per scenario, suite and policy, see metrics.summarize and grasp_metrics.add_figures.
+        paired: paired differences, see metrics.compare and grasp_metrics.add_torque_steps.
+        episodes: one row per episode, see record.make_row and grasp_metrics.compute_figures.
         episodes_played: how many were played now; the rest came from the output directory.
         wall_seconds: duration, planning included [s].
         out: where the files are; None if nothing was written.
@@ -123,7 +124,8 @@ def evaluate(
     table = pd.DataFrame([rows[_key(cases, job)] for job in jobs])
     seconds = time.perf_counter() - start
     folder = journal.directory if journal else None
-    result = EvaluationResult(summarize(table), compare(table), table, len(missing), seconds, folder)
+    rows_of_groups, pairs = add_figures(summarize(table), table), add_torque_steps(compare(table), table)
+    result = EvaluationResult(rows_of_groups, pairs, table, len(missing), seconds, folder)
     if folder:
         _write(folder, result)
     return result

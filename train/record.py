@@ -108,6 +108,7 @@ def episode_to_dict(
         "agents": list(scenario.agents),
         "bodies": list(scenario.bodies),
         "shapes": [asdict(shape) for shape in shapes],
+        "links": _describe_links(scenario),
         "times": _rounded(episode.times),
         "signals": {name: _rounded(values) for name, values in episode.signals.items()},
         "actions": {name: _rounded(values) for name, values in episode.actions.items()},
@@ -223,6 +224,14 @@ def write_json(path: Path, value: Any) -> None:
 def digest(*contents: bytes) -> str:
     """Return the SHA-256 of some contents, in hexadecimal."""
     return hashlib.sha256(b"".join(contents)).hexdigest()
+
+
+def _describe_links(scenario: Any) -> dict[str, Any]:
+    """Return what places the joints of an arm by the pose of its pad; empty where there are no arms."""
+    if scenario.domain != "dual_arm":
+        return {}
+    lengths = list(scenario.links.lengths)
+    return {n: {"base": list(arm.base), "lengths": lengths, "elbow": arm.elbow} for n, arm in scenario.arms.items()}
 
 
 def _rounded(values: Any) -> Any:

@@ -114,6 +114,24 @@
     }
     pen.globalAlpha = 1;
   }
+  function placeJoints({ base, lengths: [upper, lower, hand], elbow }, at) { // base, elbow, wrist, pad
+    const wrist = [at.x - hand * Math.cos(at.heading), at.y - hand * Math.sin(at.heading)];
+    const dx = wrist[0] - base[0], dy = wrist[1] - base[1];
+    const cosine = (dx * dx + dy * dy - upper * upper - lower * lower) / (2 * upper * lower);
+    const bend = elbow * Math.acos(Math.min(1, Math.max(-1, cosine)));
+    const first = Math.atan2(dy, dx) - Math.atan2(lower * Math.sin(bend), upper + lower * Math.cos(bend));
+    return [base, [base[0] + upper * Math.cos(first), base[1] + upper * Math.sin(first)], wrist, [at.x, at.y]];
+  }
+  function drawLinks(pen, panel, t) {
+    const { view, replay, colors } = panel;
+    for (const [body, arm] of Object.entries(replay.links || {})) {
+      const joints = placeJoints(arm, pose(replay, body, t));
+      pen.lineJoin = pen.lineCap = "round"; pen.globalAlpha = 0.55; pen.lineWidth = 6; pen.strokeStyle = colors[body];
+      trace(pen, view, joints); pen.stroke(); pen.globalAlpha = 1;
+      pen.fillStyle = css("--world"); pen.strokeStyle = css("--ink"); pen.lineWidth = 1;
+      for (const [x, y] of joints.slice(0, 3)) { pen.beginPath(); pen.arc(view.x(x), view.y(y), 3.5, 0, 2 * Math.PI); pen.fill(); pen.stroke(); }
+    }
+  }
   function drawBodies(pen, panel, t) {
     const { view, replay, colors } = panel, shown = [];
     for (const shape of replay.shapes.filter((s) => s.body !== null)) {
@@ -151,7 +169,7 @@
   function drawPanel(panel) {
     const pen = panel.canvas.getContext("2d"), replay = panel.replay, t = Math.min(state.t, replay.times.at(-1));
     pen.setTransform(panel.view.ratio, 0, 0, panel.view.ratio, 0, 0);
-    drawWorld(pen, panel); drawCurves(pen, panel, t); drawBodies(pen, panel, t);
+    drawWorld(pen, panel); drawCurves(pen, panel, t); drawLinks(pen, panel, t); drawBodies(pen, panel, t);
     const count = drawImpacts(pen, panel, t), interval = bounds(replay, t), word = verdict(interval);
     panel.canvas.dataset.time = t.toFixed(3); panel.canvas.dataset.bounds = interval.join(",");
     panel.verdict.textContent = word; panel.verdict.className = word;

@@ -94,8 +94,8 @@ def test_turns_take_the_short_way():
     for turn in (-3.0, -0.5, 0.5, 3.0):
         for whole in (-2, 0, 1):
             rate, acceleration = compute_ante_rate(FIELD, 1, math.pi - turn + math.tau * whole)
-            assert rate == pytest.approx(4.0 * turn)
-            assert acceleration == pytest.approx(-4.0 * rate)
+            assert rate == pytest.approx(FIELD.shape[3] * turn)
+            assert acceleration == pytest.approx(-FIELD.shape[3] * rate)
 
 
 def test_the_post_field_starts_with_the_prediction_and_ends_at_the_target():
@@ -167,5 +167,5 @@ def test_a_directory_that_cannot_be_written_stops_nothing(simulated, tmp_path, m
 
 
 def test_radii_inside_the_box_are_refused():
-    with pytest.raises(InputError, match=r"r_min = 0.1 and r_max = 0.4"):
+    with pytest.raises(InputError, match=r"r_min = 0.1 and r_max = 0.3"):
         make_ante_field(SCENARIO, replace(SETTINGS, r_min=0.1))
