@@ -13,6 +13,7 @@ from impact_envs.compiled import compiled
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.errors import SolverFailed
+from planners.free_flyer.aim import ROUND_OFF
 from planners.free_flyer.casadi_tracking import (
     build_casadi_tracking,
     build_published_tracking,
@@ -23,10 +24,9 @@ from planners.free_flyer.casadi_tracking import (
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
 from planners.free_flyer.options import Options
-from planners.free_flyer.pilot import fill_reference
 from planners.free_flyer.progress import INSERTED, TIME, find_next_event, find_strike
+from planners.free_flyer.reference_tracking import fill_reference
 from planners.free_flyer.script import END
-from planners.free_flyer.strike import ROUND_OFF
 from planners.free_flyer.tracking import (
     NO_JUMP,
     TrackingProblem,

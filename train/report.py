@@ -138,6 +138,7 @@ def thin_replay(replay: Replay, look: Look, limit: int) -> dict[str, Any]:
         "name": look.name,
         "color": look.color,
         "seed": replay.seed,
+        "links": replay.links,
         "world": replay.world,
         "bodies": replay.bodies,
         "shapes": [shape.model_dump() for shape in replay.shapes],

@@ -125,6 +125,7 @@ class Replay(BaseModel):
     robustness_bounds: list[tuple[FiniteFloat | None, FiniteFloat | None]]
     robustness: FiniteFloat
     plan: dict[str, Any] | None
+    links: dict[str, Any] = {}
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,8 @@ from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, observed_order
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.rollout import Diagnostics
+from planners.free_flyer.aim import aim, find_next_knot
+from planners.free_flyer.estimator import extrapolate
 from planners.free_flyer.loop import CONTROL, OBSERVE, START, run_experts
 from planners.free_flyer.options import EXPERT, VARIANTS, Options
 from planners.free_flyer.progress import (
@@ -30,7 +32,6 @@ from planners.free_flyer.progress import (
     make_progress,
 )
 from planners.free_flyer.script import END, PLACE_X, PLACE_Y, ROBOT, make_script
-from planners.free_flyer.strike import aim, extrapolate, find_next_knot
 from planners.free_flyer.tracking import make_workspace
 from planners.plan import Plan
 

@@ -5,6 +5,17 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
+from planners.free_flyer.aim import (
+    CRUISE,
+    ROUND_OFF,
+    SAME_SIDE,
+    aim,
+    compute_desired_velocity,
+    compute_margin,
+    compute_room,
+    compute_turn,
+    find_share,
+)
 from planners.free_flyer.course import IMPACT
 from planners.free_flyer.estimator import compute_variance, extrapolate
 from planners.free_flyer.options import Options
@@ -45,21 +56,7 @@ from planners.free_flyer.script import (
     SPEED,
     Script,
 )
-from planners.free_flyer.strike import (
-    CRUISE,
-    REPLAN_PERIOD,
-    ROUND_OFF,
-    SAME_SIDE,
-    SETTLE,
-    aim,
-    compute_desired_velocity,
-    compute_margin,
-    compute_room,
-    compute_turn,
-    find_share,
-    set_clocks,
-    set_time,
-)
+from planners.free_flyer.strike import REPLAN_PERIOD, SETTLE, set_clocks, set_time
 from planners.free_flyer.tracking import GAIN, INPUT_LIMIT
 from planners.free_flyer.two_body import compute_velocity_gain
 

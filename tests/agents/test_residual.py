@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from agents import ResidualEnv, ResidualPolicy
 from impact_envs import InputError, Scenario, gym_id, list_scenarios, load_scenario, parallel_env, rollout
-from impact_envs.rollout import Diagnostics, Episode
+from impact_envs.rollout import Diagnostics, Episode, ZeroPolicy
 from planners import make_expert, make_plan
 from planners.plan import Plan
 from train.residual import DecidedEnds
@@ -227,7 +227,7 @@ def test_unknown_suite_and_scenario_are_named(short: Scenario) -> None:
         ResidualEnv("throw_and_cathc")
 
 
-CORRECTABLE = {"free_flyer"}  # domains whose experts take corrections
+ONCE_PER_IMPACT = {"free_flyer"}  # domains whose experts ask for a correction of every impact
 LONG_TO_PLAN = {"obstacle_avoidance", "pingpong"}
 
 
@@ -236,7 +236,7 @@ LONG_TO_PLAN = {"obstacle_avoidance", "pingpong"}
     [
         pytest.param(n, marks=[pytest.mark.slow] if n in LONG_TO_PLAN else [])
         for n in list_scenarios()
-        if load_scenario(n).domain in CORRECTABLE
+        if load_scenario(n).domain in ONCE_PER_IMPACT
     ],
 )
 def test_every_scenario_has_a_residual_twin_that_starts_at_its_expert(name: str) -> None:
@@ -253,7 +253,16 @@ def test_every_scenario_has_a_residual_twin_that_starts_at_its_expert(name: str)
     assert info["success"]
 
 
-@pytest.mark.parametrize("name", [n for n in list_scenarios() if load_scenario(n).domain not in CORRECTABLE])
-def test_an_expert_that_takes_no_corrections_is_refused_in_one_line(name: str) -> None:
-    with pytest.raises(InputError, match=f"scenario '{name}': the expert of domain .* takes no corrections"):
-        gymnasium.make(gym_id(name, residual=True))
+@pytest.mark.parametrize("name", [n for n in list_scenarios() if load_scenario(n).domain not in ONCE_PER_IMPACT])
+def test_every_domain_has_residual_twins(name: str) -> None:
+    env = gymnasium.make(gym_id(name, residual=True), max_cycles=50).unwrapped
+    assert isinstance(env, ResidualEnv)
+    features, _ = env.reset(seed=1_000_000)
+    assert features.shape == (env.expert.feature_size,)
+    assert env.action_space.shape == (env.expert.correction_size,)
+
+
+def test_an_expert_that_takes_no_corrections_is_refused_in_one_line() -> None:
+    still: Any = ZeroPolicy(parallel_env("throw_and_catch"))
+    with pytest.raises(InputError, match=r"scenario 'throw_and_catch': the expert of domain .* takes no corrections"):
+        ResidualEnv("throw_and_catch", expert=still)

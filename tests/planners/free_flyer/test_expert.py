@@ -16,11 +16,11 @@ from impact_envs.physics.impact import Impact
 from impact_envs.rollout import Episode
 from planners import list_variants, make_expert, make_plan
 from planners.bezier import Curve
+from planners.free_flyer.aim import DEEP_ENOUGH
 from planners.free_flyer.box_qp import NEWTON_STEPS
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.options import EXPERT, VARIANTS, Options
 from planners.free_flyer.progress import FACTOR
-from planners.free_flyer.strike import DEEP_ENOUGH
 from planners.free_flyer.tracking import STAGES
 from planners.plan import Plan, PlannedImpact
 

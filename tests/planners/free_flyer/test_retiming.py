@@ -10,6 +10,7 @@ import pytest
 from impact_envs import load_scenario
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
+from planners.free_flyer.aim import CRUISE
 from planners.free_flyer.course import COURSE_SIZE, IMPACT, SINCE, UNTIL, evaluate_course, fit_quintic
 from planners.free_flyer.options import EXPERT, VARIANTS, Options
 from planners.free_flyer.pilot import start_world
@@ -38,7 +39,7 @@ from planners.free_flyer.retiming import (
     look_ahead,
 )
 from planners.free_flyer.script import END, make_script
-from planners.free_flyer.strike import CRUISE, SETTLE, take_contact
+from planners.free_flyer.strike import SETTLE, take_contact
 from planners.plan import Plan, PlannedImpact
 
 HORIZON, HIT = 100.0, 10.0

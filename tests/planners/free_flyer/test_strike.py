@@ -11,9 +11,22 @@ import pytest
 from impact_envs import load_scenario
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
+from planners.free_flyer.aim import (
+    BEND,
+    CRUISE,
+    DEEP_ENOUGH,
+    aim,
+    compute_desired_velocity,
+    compute_margin,
+    compute_room,
+    compute_turn,
+    find_next_knot,
+    find_share,
+    hasten,
+)
 from planners.free_flyer.course import IMPACT, STOP, read_clock
 from planners.free_flyer.options import EXPERT, VARIANTS, Options
-from planners.free_flyer.pilot import control_world, replan, should_replan, start_world
+from planners.free_flyer.pilot import control_world, should_replan, start_world
 from planners.free_flyer.progress import (
     AGENT,
     APPROACH,
@@ -46,26 +59,16 @@ from planners.free_flyer.progress import (
     find_strike,
     make_progress,
 )
+from planners.free_flyer.replanner import replan
 from planners.free_flyer.script import DEPTH, END, make_script
 from planners.free_flyer.strike import (
-    BEND,
-    CRUISE,
     DECISION_LEAD,
     DECISION_SETTLE,
-    DEEP_ENOUGH,
     PATIENCE,
     RETRIES,
     RETRY_IN,
     SHORTEST_NOTICE,
-    aim,
-    compute_desired_velocity,
-    compute_margin,
-    compute_room,
-    compute_turn,
     find_due,
-    find_next_knot,
-    find_share,
-    hasten,
     learn_from_hits,
     remember_before,
     set_time,
