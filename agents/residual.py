@@ -102,9 +102,7 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.parallel = parallel_env(loaded, render_mode, max_cycles)
         self.expert: CorrectableExpert = expert or make_expert(loaded, plan)
         if not hasattr(self.expert, "correction_size"):
-            raise InputError(
-                f"scenario '{loaded.name}': the expert of domain '{loaded.domain}' takes no corrections"
-            )
+            raise InputError(f"scenario '{loaded.name}': the expert of domain '{loaded.domain}' takes no corrections")
         self.render_mode = render_mode
         self.action_space = Box(-1.0, 1.0, (self.expert.correction_size,), np.float32)
         self.observation_space = Box(-np.inf, np.inf, (self.expert.feature_size,), np.float64)

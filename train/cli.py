@@ -79,7 +79,7 @@ class Run:
     render: str | None = None
     """human, or a file ending in .mp4, .gif or .png (the last frame)."""
     plot: Path | None = None
-    """Draw a whole episode of a floating manipulator or of two arms: a file ending in .png, .pdf or .svg."""
+    """Draw the whole episode: a file ending in .png, .pdf or .svg."""
     json: bool = False
 
     def run(self) -> dict[str, Any]:
@@ -95,8 +95,12 @@ class Run:
         if self.seed < 0:
             raise InputError(f"seed {self.seed} is negative; choices: 0, 1, 2, ...")
         film = _open_film(self.render)
-        watcher = _make_record(scenario, self.plot)
+        if self.plot:
+            from train.plan_picture import check_picture_path
+
+            check_picture_path(self.plot)
         policy = make_policy(self.policy, scenario, plan=load_plan(self.plan, scenario))
+        watcher = _make_record(scenario, policy, self.plot)
         env = parallel_env(scenario, render_mode="rgb_array" if film else self.render)
         env.curves |= _plan_curves(policy)
         spacing = min(0.1, scenario.horizon / LEAST_FRAMES)
@@ -112,15 +116,10 @@ class Run:
         env.close()
         if film:
             film.close()
-        if self.plot and watcher:
-            from train.manipulator_picture import save_manipulator_picture
-
-            save_manipulator_picture(watcher, episode, self.plot)
-        elif self.plot:
-            from train.grasp_picture import save_grasp_picture
-
-            save_grasp_picture(scenario, policy, episode, self.plot)
-        figures = watcher.figures(episode) if watcher else compute_figures(episode, scenario)
+        if self.plot:
+            _save_picture(scenario, policy, watcher, episode, self.plot)
+        manipulator = scenario.domain == "floating_manipulator"
+        figures = watcher.figures(episode) if manipulator else compute_figures(episode, scenario)
         return _episode_summary(episode, self.suite) | figures
 
 
@@ -354,22 +353,33 @@ def _open_film(render: str | None) -> Any:
     return Film(render, fps=30)
 
 
-def _make_record(scenario: Any, plot: Path | None) -> Any:
-    """Return what watches a floating manipulator's episode, None in another domain."""
-    if plot:
-        from train.plan_picture import check_picture_path
+def _make_record(scenario: Any, policy: Any, plot: Path | None) -> Any:
+    """Return what watches an episode, None where the episode itself says enough."""
+    if scenario.domain == "floating_manipulator":
+        from train.manipulator_record import ManipulatorRecord
 
-        check_picture_path(plot)
-    if scenario.domain != "floating_manipulator":
-        if plot and scenario.domain != "dual_arm":
-            raise InputError(
-                f"--plot {plot}: scenario {scenario.name} is of domain {scenario.domain}; "
-                "choices: scenarios of domain floating_manipulator or dual_arm, or impact plan --plot"
-            )
-        return None
-    from train.manipulator_record import ManipulatorRecord
+        return ManipulatorRecord(scenario)
+    if scenario.domain == "free_flyer" and plot:
+        from train.flight_record import FlightRecord
 
-    return ManipulatorRecord(scenario)
+        return FlightRecord(policy)
+    return None
+
+
+def _save_picture(scenario: Any, policy: Any, watcher: Any, episode: Any, path: Path) -> None:
+    """Draw a whole episode, in the way of its domain."""
+    if scenario.domain == "floating_manipulator":
+        from train.manipulator_picture import save_manipulator_picture
+
+        save_manipulator_picture(watcher, episode, path)
+    elif scenario.domain == "dual_arm":
+        from train.grasp_picture import save_grasp_picture
+
+        save_grasp_picture(scenario, policy, episode, path)
+    else:
+        from train.flight_picture import save_flight_picture
+
+        save_flight_picture(scenario, episode, path, watcher)
 
 
 def _plan_curves(policy: Any) -> dict[str, Any]:

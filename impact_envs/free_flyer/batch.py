@@ -34,6 +34,7 @@ from impact_envs.free_flyer.worlds import (
     OVERFLOW,
     OWED,
     ROW,
+    SINCE,
     STEPS,
     Worlds,
     make_arena,
@@ -235,7 +236,7 @@ class Batch:
         body = self._worlds.body
         body[worlds, :, MASS], body[worlds, :, INERTIA] = drawn.masses, drawn.inertias
         if body.shape[2] > OFFSET_X:
-            body[worlds, :, OFFSET_X:DRIFT_X], body[worlds, :, DRIFT_X:] = drawn.center_of_mass, drawn.drift
+            body[worlds, :, OFFSET_X:DRIFT_X], body[worlds, :, DRIFT_X:SINCE] = drawn.center_of_mass, drawn.drift
         if self._worlds.thruster.shape[1]:
             self._worlds.thruster[worlds, :, :OWED] = drawn.thruster_gain.reshape(len(worlds), self.robots, 6)
         contact = (drawn.restitution, drawn.restitution_speed, drawn.friction)

@@ -21,6 +21,7 @@ from impact_envs.free_flyer.worlds import (
     OVERFLOW,
     OWED,
     ROW,
+    SINCE,
     STEPS,
     make_arena,
     make_scratch,
@@ -70,7 +71,7 @@ class DiscModel:
         worlds.body[0, :, MASS] = [physics.masses[name] for name in names]
         worlds.body[0, :, INERTIA] = [physics.inertias[name] for name in names]
         worlds.body[0, :, OFFSET_X:DRIFT_X] = [physics.center_of_mass.get(name, (0.0, 0.0)) for name in names]
-        worlds.body[0, :, DRIFT_X:] = [physics.drift.get(name, (0.0, 0.0)) for name in names]
+        worlds.body[0, :, DRIFT_X:SINCE] = [physics.drift.get(name, (0.0, 0.0)) for name in names]
         worlds.thruster[0, :, :OWED] = [physics.thruster_gain[name].ravel() for name in self.scenario.robots]
         worlds.contact[0] = physics.restitution, physics.restitution_speed, physics.friction
         self._states = np.empty_like(worlds.state)

@@ -23,6 +23,10 @@ from impact_envs.free_flyer.worlds import (
     HITS,
     INERTIA,
     LIMIT,
+    LINE_VX,
+    LINE_VY,
+    LINE_X,
+    LINE_Y,
     MASS,
     NEAR,
     OFFSET_X,
@@ -32,6 +36,7 @@ from impact_envs.free_flyer.worlds import (
     RADIUS,
     REST,
     ROOM,
+    SINCE,
     STEPS,
     TIME,
     Arena,
@@ -42,6 +47,8 @@ from impact_envs.free_flyer.worlds import (
 
 # In one control period; more count as overflow, and the bodies stand still for the rest of it.
 EVENTS = 1000
+AVERAGED = 1.0 - 1e-9  # time over which an object that keeps its velocity averages it after an impact [s]
+KEEPING = 0.5  # w of the law by which it does [rad/s]
 
 
 @inlined
@@ -59,6 +66,7 @@ def step_world(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, 
     n = arena.discs.shape[0]
     worlds.counter[k, HITS] = 0
     for i in range(n):
+        felt = worlds.body[k, i, FELT] > 0.0
         worlds.body[k, i, FELT] = 0.0
         if i < arena.robots:
             actuate(arena, worlds, scratch, c, k, i)
@@ -67,6 +75,10 @@ def step_world(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, 
             scratch.motion[c, i, HELD] = worlds.body[k, i, DRIFT_X] if drifts else 0.0
             scratch.motion[c, i, HELD + 1] = worlds.body[k, i, DRIFT_Y] if drifts else 0.0
             scratch.motion[c, i, HELD + 2] = 0.0
+            if worlds.body.shape[2] > SINCE and arena.discs[i, LIMIT] > 0.0:
+                ax, ay = keep_velocity(arena, worlds, k, i, felt)
+                scratch.motion[c, i, HELD] += ax
+                scratch.motion[c, i, HELD + 1] += ay
     advance(arena, worlds, scratch, log, c, k)
     worlds.counter[k, STEPS] += 1
 
@@ -122,6 +134,40 @@ def actuate(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, i: i
     scratch.motion[c, i, HELD] = (cos * fx - sin * fy) / worlds.body[k, i, MASS]
     scratch.motion[c, i, HELD + 1] = (sin * fx + cos * fy) / worlds.body[k, i, MASS]
     scratch.motion[c, i, HELD + 2] = alpha
+
+
+@inlined
+def keep_velocity(arena: Arena, worlds: Worlds, k: int, i: int, felt: bool) -> tuple[float, float]:
+    r"""Return the acceleration by which object i keeps its velocity between impacts [m/s^2].
+
+    For 1 s after an impact it does nothing but average its velocity, then it follows the straight line of that
+    velocity: a = -w^2 (p - p_line) - 2 w (v - v_line), within its force.
+
+    Source: Verhagen & Tumova, App. C, with a critically damped law in place of its MPC.
+    """
+    body, h = worlds.body, arena.period
+    x, y = worlds.state[k, i, 0], worlds.state[k, i, 1]
+    if worlds.counter[k, STEPS] == 0 or felt:
+        body[k, i, SINCE] = 0.0 if felt else math.inf
+        body[k, i, LINE_X], body[k, i, LINE_Y] = x, y
+        body[k, i, LINE_VX] = body[k, i, LINE_VY] = 0.0
+    else:
+        body[k, i, SINCE] += h
+    since = body[k, i, SINCE]
+    if since < AVERAGED:
+        return 0.0, 0.0
+    if since - h < AVERAGED:
+        body[k, i, LINE_VX], body[k, i, LINE_VY] = (x - body[k, i, LINE_X]) / since, (y - body[k, i, LINE_Y]) / since
+        body[k, i, LINE_X], body[k, i, LINE_Y] = x, y
+    else:
+        body[k, i, LINE_X] += h * body[k, i, LINE_VX]
+        body[k, i, LINE_Y] += h * body[k, i, LINE_VY]
+    vx, vy = worlds.state[k, i, 2] - body[k, i, LINE_VX], worlds.state[k, i, 3] - body[k, i, LINE_VY]
+    ax = -KEEPING * (KEEPING * (x - body[k, i, LINE_X]) + 2.0 * vx)
+    ay = -KEEPING * (KEEPING * (y - body[k, i, LINE_Y]) + 2.0 * vy)
+    most = arena.discs[i, LIMIT] / body[k, i, MASS]
+    scale = min(1.0, most / max(math.hypot(ax, ay), 1e-12))
+    return scale * ax, scale * ay
 
 
 @inlined

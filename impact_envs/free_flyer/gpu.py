@@ -31,6 +31,7 @@ from impact_envs.free_flyer.worlds import (
     OVERFLOW,
     OWED,
     REST,
+    SINCE,
     STEPS,
     Scratch,
     Worlds,
@@ -215,7 +216,7 @@ class GpuBatch:
         )
         body[:, :, MASS], body[:, :, INERTIA] = drawn.masses, drawn.inertias
         if body.shape[2] > OFFSET_X:
-            body[:, :, OFFSET_X:DRIFT_X], body[:, :, DRIFT_X:] = drawn.center_of_mass, drawn.drift
+            body[:, :, OFFSET_X:DRIFT_X], body[:, :, DRIFT_X:SINCE] = drawn.center_of_mass, drawn.drift
         if thruster.shape[1]:
             thruster[:, :, :OWED] = drawn.thruster_gain.reshape(count, self.robots, 6)
         contact = np.stack((drawn.restitution, drawn.restitution_speed, drawn.friction), axis=1)

@@ -61,6 +61,7 @@ class Object(Body):
 
     vertices: tuple[Vector, ...] | None = None  # convex polygon in the body frame [m]; a disc without
     rest: bool = True  # must it be at rest at the horizon
+    keep_force: NonNegative = 0.0  # of its own thrusters, by which it keeps its velocity between impacts; 0: none [N]
     start_uncertainty: tuple[NonNegative, NonNegative] = (0.0, 0.0)  # half widths of the box it may start in [m]
     final_speed: Positive = 0.05  # per axis at the horizon, where impacts are uncertain and it has to rest [m/s]
 
@@ -292,6 +293,9 @@ class FreeFlyerScenario(Scenario):
         if self.engine == "exact" and self.has_polygons:
             name = next(name for name, body in self.objects.items() if body.vertices is not None)
             raise ValueError(f'engine = "exact" takes discs, and objects.{name} is a polygon; choose "pymunk"')
+        for name, item in self.objects.items():
+            if item.keep_force > 0 and (self.engine == "pymunk" or self.has_polygons):
+                raise ValueError(f"objects.{name}.keep_force = {item.keep_force:g}: only the exact engine has it")
         return self
 
     @model_validator(mode="after")

@@ -22,6 +22,8 @@ RADIUS, LIMIT = 0, 1
 # Columns of Worlds.body: mass [kg], inertia [kg m^2], fastest impact in the last control period [m/s], centre of mass
 # in the body frame from the geometric centre [m], constant acceleration [m/s^2].
 MASS, INERTIA, FELT, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y = range(7)
+# Further ones of objects that keep their velocity: time since their last impact, and the line that they follow.
+SINCE, LINE_X, LINE_Y, LINE_VX, LINE_VY = range(7, 12)
 # Columns of Worlds.thruster: true over commanded force, positive and negative per channel Fx, Fy, torque; what on/off
 # thrusters owe in Fx, Fy.
 GAIN, OWED = 0, 6
@@ -113,6 +115,7 @@ def make_arena(scenario: FreeFlyerScenario) -> tuple[Arena, tuple[str, ...]]:
     discs[: len(scenario.robots), LIMIT:] = [
         (robot.force_limit, robot.force_limit, robot.torque_limit) for robot in scenario.robots.values()
     ]
+    discs[len(scenario.robots) :, LIMIT] = [item.keep_force for item in scenario.objects.values()]
     pairs = [*itertools.combinations(range(n), 2), *itertools.product(range(n), range(n, n + len(fixed)))]
     arena = Arena(
         period=float(scenario.control_period),
@@ -136,10 +139,10 @@ def make_worlds(arena: Arena, count: int, shifts: bool, gains: bool, dtype: type
         gains: any thruster may differ from its command.
         dtype: of all that is not counted.
     """
-    n = len(arena.discs)
+    n, keeps = len(arena.discs), bool(arena.discs[arena.robots :, LIMIT].any())
     return Worlds(
         state=np.zeros((count, n, 6), dtype),
-        body=np.zeros((count, n, 7 if shifts else 3), dtype),
+        body=np.zeros((count, n, LINE_VY + 1 if keeps else SINCE if shifts else OFFSET_X), dtype),
         thruster=np.zeros((count, arena.robots if gains or arena.on_off else 0, 8), dtype),
         contact=np.zeros((count, 3), dtype),
         counter=np.zeros((count, 3), np.int64),

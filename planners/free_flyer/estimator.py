@@ -25,7 +25,7 @@ from planners.free_flyer.progress import (
     WEIGHT,
     Progress,
 )
-from planners.free_flyer.script import HOME, MASS, RADIUS, START_X, START_Y, Script
+from planners.free_flyer.script import HOME, KEEPS, MASS, RADIUS, START_X, START_Y, Script
 from planners.free_flyer.two_body import compute_velocity_gain
 
 NEAR = 0.1  # a felt impact is blamed on a body closer than this gap [m]
@@ -45,6 +45,7 @@ VELOCITY_RATIO = 100.0
 MEMORY = 50.0  # samples over which the position noise is estimated
 THRUST = 4e-3  # unmodelled acceleration of robots [m/s^2]
 FLIGHT = 1e-5  # unmodelled acceleration of objects [m/s^2]
+KEPT = 3e-4  # of objects that keep their velocity [m/s^2]
 DRIFT = 5e-4  # constant acceleration of an object [m/s^2]
 
 
@@ -142,7 +143,7 @@ def open_filters(script: Script, progress: Progress, options: Options, k: int) -
             z[column] = 0.0
         z[0], z[1] = script.body[i, START_X], script.body[i, START_Y]
         z[6], z[9] = START_POSITION * START_POSITION, START_VELOCITY * START_VELOCITY
-        if options.drift and i >= script.robots:
+        if options.drift and i >= script.robots and script.body[i, KEEPS] == 0.0:
             z[11] = DRIFT * DRIFT
         progress.heading[k, i, 0], progress.heading[k, i, 1] = script.body[i, HOME], 0.0
     progress.sensor[k, SIGMA], progress.sensor[k, WEIGHT] = POSITION_PRIOR, 0.0
@@ -168,7 +169,8 @@ def update_estimates(script: Script, progress: Progress, k: int, joint: np.ndarr
     progress.time[k] = now
     for i in range(n):
         ux, uy = (progress.push[k, i, 0], progress.push[k, i, 1]) if i < r else (0.0, 0.0)
-        predict(progress.filter[k, i], ux, uy, h, THRUST if i < r else FLIGHT)
+        keeps = script.body[i, KEEPS] > 0.0
+        predict(progress.filter[k, i], ux, uy, h, THRUST if i < r else KEPT if keeps else FLIGHT)
     calm = True
     for i in range(r):
         progress.touch[k, i] = NOBODY

@@ -13,7 +13,7 @@ from planners.free_flyer.tracking import build_tracking_problem
 from planners.plan import Plan
 
 # Columns of Script.body.
-START_X, START_Y, HOME, MASS, RADIUS, SPEED = range(6)
+START_X, START_Y, HOME, MASS, RADIUS, SPEED, KEEPS = range(7)
 # Columns of Script.impact.
 AT, ROBOT, OBJECT, PLACE_X, PLACE_Y, NORMAL_X, NORMAL_Y, NEXT, KNOT = range(9)
 # Columns of Script.knot.
@@ -30,7 +30,7 @@ class Script(NamedTuple):
         horizon: [s].
         restitution: believed.
         robots: r.
-        body: shape (n, 6).
+        body: KEEPS: force by which an object keeps its velocity [N], shape (n, 7).
         impact: index NEXT of the object's next impact, or END; index KNOT of its knot, shape (K, 9).
         first: first impact of each object, or END, shape (objects,).
         knot: of each impact, then of the end of each object: position, window, margin of the plan, number of faces,
@@ -69,7 +69,10 @@ def make_script(scenario: FreeFlyerScenario, plan: Plan) -> Script:
     """
     names = scenario.bodies
     bodies = [scenario.body(name) for name in names]
-    rows = [(*body.start, body.heading, body.mass, body.radius, body.speed_limit) for body in bodies]
+    rows = [
+        (*body.start, body.heading, body.mass, body.radius, body.speed_limit, getattr(body, "keep_force", 0.0))
+        for body in bodies
+    ]
     impact, first, knots = _make_impacts(scenario, plan)
     faces = max((len(knot.faces) for knot in knots), default=0)
     face = np.zeros((len(knots), max(faces, 1), 3))

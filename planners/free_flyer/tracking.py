@@ -39,7 +39,7 @@ class Weights:
     heading: float = 5.0
     rate: float = 0.5
     force: float = 0.05
-    torque: float = 0.1
+    torque: float = 20.0
 
 
 class Actuated(Protocol):
