@@ -22,7 +22,7 @@ def load(keep_force: float) -> FreeFlyerScenario:
     return loaded
 
 
-def fly(keep_force: float, seconds: float = 20.0) -> np.ndarray:
+def fly(keep_force: float, seconds: float = 14.0) -> np.ndarray:
     """Hit the object with the first robot and return its states after the impact, one row per period."""
     scenario = load(keep_force)
     model = DiscModel(scenario)
@@ -43,12 +43,12 @@ def test_flies_straight_after_a_second() -> None:
     kept, free = fly(0.5), fly(0.0)
     np.testing.assert_allclose(kept[:11, 2:4] - kept[0, 2:4], free[:11, 2:4] - free[0, 2:4], atol=1e-12)  # averaging
     mean = (kept[10, :2] - kept[0, :2]) / 1.0
-    np.testing.assert_allclose(kept[40:, 2:4], np.broadcast_to(mean, kept[40:, 2:4].shape), atol=4e-4)
+    np.testing.assert_allclose(kept[110:, 2:4], np.broadcast_to(mean, kept[110:, 2:4].shape), atol=1e-4)
     times = PERIOD * np.arange(len(kept) - 10)
     beside = kept[10:, :2] - (kept[10, :2] + times[:, None] * mean)
     # At rest beside its line where the law w^2 d balances the drift.
     assert np.hypot(*beside.T).max() < 1.05 * DRIFT / 0.25
-    assert np.hypot(*(free[-1] - kept[-1])[:2]) > 0.1
+    assert np.hypot(*(free[-1] - kept[-1])[:2]) > 0.05
 
 
 def test_keeps_its_place_before_any_impact_and_within_its_force() -> None:
