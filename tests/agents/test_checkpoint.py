@@ -23,6 +23,7 @@ from agents.checkpoint import write_atomically
 from agents.sb3 import Model, export_actor, load_training, save_training, start_at_expert
 from impact_envs import InputError
 from planners import make_plan
+from planners.free_flyer.expert import FreeFlyerExpert
 from planners.plan import Plan
 
 SIZES = (5, 2)
@@ -287,7 +288,7 @@ def test_a_policy_must_fit_the_expert(checkpoint: Path, tmp_path: Path, plan: Pl
     edit_json(lambda d: d.update(domain="dual_arm"))(checkpoint)
     with pytest.raises(InputError, match="is for domain 'dual_arm'"):
         ResidualPolicy.load(checkpoint, "throw_and_catch", plan)
-    feature_size = 23
+    feature_size = FreeFlyerExpert.feature_size
     good = Actor(feature_size, 2, (8, 4))
     save_policy(tmp_path / "good", good, make_record(feature_size=feature_size))
     policy = ResidualPolicy.load(tmp_path / "good", "throw_and_catch", plan)

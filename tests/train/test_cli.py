@@ -107,7 +107,6 @@ BAD = {
     "plan of arms": (("plan", "dual_arm_grasp"), ["dual_arm_grasp", "no plan", "free_flyer"]),
     "Bezier plan of arms": (("plan", "dual_arm_grasp", "--encoding", "bezier"), ["dual_arm_grasp", "no plan"]),
     "arms with a plan": (("run", "dual_arm_grasp", "--plan", "nope.json"), ["dual_arm_grasp", "no plan"]),
-    "residual on arms": (("train", "dual_arm_grasp", "--suite", "all"), ["dual_arm_grasp", "no plan"]),
     "variant": (("run", "dual_arm_grasp", "--policy", "no_interim"), ["no_interim", "no_interim_phase"]),
     "box out of reach": (
         ("run", "dual_arm_grasp", "--set", "target={position=[0.9,0.6]}"),

@@ -20,6 +20,7 @@ import train.play
 from agents.actor import Actor, PolicyRecord, save_policy
 from impact_envs import InputError, Scenario, load_scenario, parallel_env, rollout
 from planners import make_plan
+from planners.free_flyer.expert import FreeFlyerExpert
 from train.evaluate import EvaluationResult, episode_to_dict, evaluate, make_policy
 from train.play import follows_plan
 
@@ -42,14 +43,14 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> EvaluationResult:
 
 def save_checkpoint(folder: Path, output: float = 0.0) -> None:
     """A policy whose correction is always the same; 0 is the expert."""
-    actor = Actor(23, 2, (4,))
+    actor = Actor(FreeFlyerExpert.feature_size, 2, (4,))
     actor.layers[-1].bias.data.fill_(output)
     record = PolicyRecord(
         scenario="throw_and_catch",
         domain="free_flyer",
         suite="nominal",
         algorithm="ppo",
-        feature_size=23,
+        feature_size=FreeFlyerExpert.feature_size,
         correction_size=2,
         hidden=(4,),
         squash="clip",

@@ -132,6 +132,6 @@ def test_planning_is_refused_in_one_line(capsys):
         make_plan("floating_manipulator")
 
 
-def test_pictures_of_episodes_are_the_manipulators(capsys):
-    assert main(["run", "corridor", "--plot", "corridor.png", "--json"]) == 2
-    assert "choices: scenarios of domain floating_manipulator" in capsys.readouterr().err
+def test_a_picture_that_cannot_be_written_is_refused_before_playing(capsys):
+    assert main(["run", "floating_manipulator", "--plot", "motion.bmp", "--json"]) == 2
+    assert ".png" in capsys.readouterr().err
