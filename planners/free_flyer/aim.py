@@ -20,8 +20,6 @@ from planners.free_flyer.script import (
     DEPTH,
     END,
     FACES,
-    KNOT_X,
-    KNOT_Y,
     NEXT,
     OPEN,
     RADIUS,
@@ -102,7 +100,7 @@ def aim(script: Script, progress: Progress, options: Options, k: int, o: int) ->
     z, time = progress.filter[k, body], strike[TIME]
     x, y, _, _ = extrapolate(progress, k, body, time)
     knot, due, last = find_next_knot(script, progress, k, o, strike[INSERTED] > 0.0)
-    target_x, target_y = script.knot[knot, KNOT_X], script.knot[knot, KNOT_Y]
+    target_x, target_y = progress.place[k, knot, 0], progress.place[k, knot, 1]
     duration = max(due - time, SHORTEST_LEG if last else 2.0)
     limit = script.body[body, SPEED]
     if not last or not options.insert or script.knot[knot, FACES] == 0.0:
@@ -165,7 +163,7 @@ def hasten(script: Script, progress: Progress, k: int, o: int) -> None:
     if last or drift * (due - strike[TIME]) ** 2 <= 8.0 * bend:
         return
     x, y, _, _ = extrapolate(progress, k, script.robots + o, strike[TIME])
-    way = math.hypot(script.knot[knot, KNOT_X] - x, script.knot[knot, KNOT_Y] - y)
+    way = math.hypot(progress.place[k, knot, 0] - x, progress.place[k, knot, 1] - y)
     sooner = strike[TIME] + max(math.sqrt(8.0 * bend / drift), way / CRUISE)
     progress.clock[k, knot] = min(max(sooner, script.knot[knot, OPEN]), due)
 

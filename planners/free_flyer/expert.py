@@ -31,6 +31,7 @@ from planners.free_flyer.progress import (
     TURN,
     make_progress,
 )
+from planners.free_flyer.reoptimisation import make_program
 from planners.free_flyer.script import END, PLACE_X, PLACE_Y, ROBOT, make_script
 from planners.free_flyer.tracking import make_workspace
 from planners.plan import Plan
@@ -114,7 +115,8 @@ class FreeFlyerExpert:
         robots, bodies = len(scenario.robots), len(scenario.bodies)
         self._joint = np.zeros((1, BODY_SIZE * bodies + robots + TAIL_SIZE - 1))
         self._actions, self._due = np.zeros((1, robots, 3)), np.full(1, END)
-        self._arrays = (tuple(self.script), tuple(self.progress), tuple(self.options), tuple(self.workspace))
+        tables = self.script, self.progress, self.options, self.workspace, make_program()
+        self._arrays = tuple(tuple(table) for table in tables)
         place = {name: i for i, name in enumerate(scenario.bodies)}
         self._order = [place[name] for name in observed_order(scenario, scenario.agents[0])]
         self.reset(0)

@@ -15,6 +15,7 @@ from planners.free_flyer.expert import check_plan, get_options
 from planners.free_flyer.loop import ACT, run_experts
 from planners.free_flyer.options import Options
 from planners.free_flyer.progress import COUNTERS, make_progress
+from planners.free_flyer.reoptimisation import make_program
 from planners.free_flyer.script import END, make_script
 from planners.free_flyer.tracking import make_workspace
 from planners.plan import Plan
@@ -54,8 +55,8 @@ class FreeFlyerExpertBatch:
         self.progress = make_progress(script, count)
         self._threads = min(threads, count)
         chosen = get_options(variant) if options is None else options
-        workspace = make_workspace(self._threads)
-        self._arrays = tuple(script), tuple(self.progress), tuple(chosen), tuple(workspace)
+        workspace, program = make_workspace(self._threads), make_program(self._threads)
+        self._arrays = tuple(script), tuple(self.progress), tuple(chosen), tuple(workspace), tuple(program)
         self._due = np.full(count, END)
         self._pool: ThreadPoolExecutor | None = None
 

@@ -27,12 +27,14 @@ class Knot:
         position: planned, of the object's centre, shape (2,) [m].
         faces: rows (H, b) with H p <= b, shape (f, 3).
         window: when the object may be here [s].
+        rests: the object stays here until the next knot.
     """
 
     time: float
     position: np.ndarray
     faces: list[np.ndarray] = field(default_factory=list)
     window: tuple[float, float] = (0.0, np.inf)
+    rests: bool = False
 
     def narrow(self, start: float, end: float) -> None:
         """Narrow the window."""
@@ -58,7 +60,7 @@ def find_knots(scenario: FreeFlyerScenario, plan: Plan, name: str) -> list[Knot]
     """
     curve = plan.objects[name]
     impacts = [impact for impact in plan.impacts if impact.object == name]
-    knots = [Knot(impact.time, impact.position) for impact in impacts]
+    knots = [Knot(i.time, i.position, rests=bool(np.abs(i.object_plus).max() < AT_REST)) for i in impacts]
     knots.append(Knot(plan.horizon, curve.position(plan.horizon, "left")))
     try:
         demands = read_demands(scenario, 0.0)
@@ -70,9 +72,11 @@ def find_knots(scenario: FreeFlyerScenario, plan: Plan, name: str) -> list[Knot]
     for need in demands.solids:
         if need.body == name:
             _bind_throughout(need, need.start, need.end, knots)
-    for knot, after, impact in reversed(list(zip(knots[:-1], knots[1:], impacts, strict=True))):
-        if np.abs(impact.object_plus).max() < AT_REST:
+    for knot, after in reversed(list(itertools.pairwise(knots))):
+        if knot.rests:
             knot.faces += after.faces
+    for knot in knots:
+        knot.faces = list({tuple(face): face for face in knot.faces}.values())
     return knots
 
 
@@ -120,15 +124,39 @@ def _bind(formula: Formula, start: float, end: float, knots: list[Knot], owned: 
         case Always((lower, upper), child):
             _bind(child, start + lower, end + upper, knots, owned)
         case Eventually((lower, upper), child) if end - start <= ROUND_OFF:
-            inside = _at(start + lower, end + upper, knots)
-            margins = [_serve(child, owned, [knot]) for knot in inside]
-            if inside and max(margins) > 0:
-                chosen = max(i for i, margin in enumerate(margins) if margin >= max(margins) - ROUND_OFF)
-                _bind(child, inside[chosen].time, inside[chosen].time, knots, owned)
-                if start + lower > ROUND_OFF or end + upper < knots[-1].time - ROUND_OFF:
-                    inside[chosen].narrow(start + lower, end + upper)
+            _bind_best(child, start + lower, end + upper, knots, owned)
         case Predicate() if formula in owned:
             _bind_throughout(owned[formula], start, end, knots)
+
+
+def _bind_best(
+    formula: Formula, opens: float, closes: float, knots: list[Knot], owned: dict[Predicate, Requirement]
+) -> None:
+    """Bind the last knot that serves best what has to hold once in a window, or comes to rest there in time."""
+    # Every object starts at rest; the end of a rest needs no look of its own.
+    stays: list[tuple[Knot | None, Knot]] = [(None, knots[0])]
+    for before, knot, after in zip([None, *knots], knots, [*knots[1:], knots[-1]], strict=False):
+        if knot.rests:
+            stays.append((knot, after))
+        elif before is not None and not before.rests:
+            stays.append((knot, knot))
+    found = [
+        (arrival, leaving)
+        for arrival, leaving in stays
+        if (arrival is None or arrival.time <= closes + ROUND_OFF) and leaving.time >= opens - ROUND_OFF
+    ]
+    margins = [_serve(formula, owned, [arrival or leaving]) for arrival, leaving in found]
+    if not found or max(margins) <= 0:
+        return
+    arrival, leaving = found[max(i for i, margin in enumerate(margins) if margin >= max(margins) - ROUND_OFF)]
+    for knot in {id(knot): knot for knot in (arrival, leaving) if knot is not None}.values():
+        _bind(formula, knot.time, knot.time, knots, owned)
+    inner = closes < knots[-1].time - ROUND_OFF
+    if opens > ROUND_OFF or inner:
+        # An object that stays longer than it has to does no harm, but waiting for it would.
+        leaving.narrow(opens, closes if leaving.time <= closes + ROUND_OFF else np.inf)
+    if arrival is not None and inner:
+        arrival.narrow(0.0, closes)
 
 
 def _bind_throughout(need: Requirement, start: float, end: float, knots: list[Knot]) -> None:

@@ -8,6 +8,7 @@ from impact_envs.compiled import compiled
 from planners.free_flyer.options import Options
 from planners.free_flyer.pilot import control_world, observe_world, start_world
 from planners.free_flyer.progress import Progress
+from planners.free_flyer.reoptimisation import Program
 from planners.free_flyer.script import END, Script
 from planners.free_flyer.tracking import Workspace
 
@@ -21,6 +22,7 @@ def run_experts(
     progress: tuple,
     options: tuple,
     workspace: tuple,
+    program: tuple,
     joint: np.ndarray,
     actions: np.ndarray,
     due: np.ndarray,
@@ -32,7 +34,7 @@ def run_experts(
     """Start, observe or control the worlds from first to before end; plain tuples pass three times faster from Python.
 
     Args:
-        script, progress, options, workspace: the fields of Script, Progress, Options, Workspace.
+        script, progress, options, workspace, program: the fields of Script, Progress, Options, Workspace, Program.
         joint: everything measured once, shape (N, 7 n + r + 3).
         actions: written by CONTROL and ACT, shape (N, r, 3).
         due: object whose coming impact's correction is due, or END, written by START and OBSERVE, shape (N,).
@@ -41,13 +43,13 @@ def run_experts(
         first, end: range of worlds.
     """
     script_, progress_ = Script(*script), Progress(*progress)
-    options_, workspace_ = Options(*options), Workspace(*workspace)
+    options_, workspace_, program_ = Options(*options), Workspace(*workspace), Program(*program)
     clock = joint.shape[1] - 3
     for k in range(first, end):
         if phase == START or (phase == ACT and joint[k, clock] == 0.0):
             start_world(script_, progress_, options_, k)
             due[k] = END
         if phase in (OBSERVE, ACT):
-            due[k] = observe_world(script_, progress_, options_, k, joint)
+            due[k] = observe_world(script_, progress_, options_, program_, c, k, joint)
         if phase in (CONTROL, ACT):
             control_world(script_, progress_, options_, workspace_, c, k, actions)

@@ -14,6 +14,7 @@ class Options(NamedTuple):
         retime: move an impact to when the object is where it should be hit, and try a missed one again.
         drift: a constant unknown acceleration of every object in its filter.
         insert: hit once more where the object would miss its next knot or leave its goal, and catch gently.
+        reoptimise: choose times and places of the impacts that are left anew after each one.
         avoid: keep off bodies that are not to be hit.
         mpc: track by MPC; otherwise by LQR.
     """
@@ -23,15 +24,18 @@ class Options(NamedTuple):
     retime: bool = True
     drift: bool = True
     insert: bool = True
+    reoptimise: bool = True
     avoid: bool = True
     mpc: bool = True
 
 
 EXPERT = Options()
 VARIANTS = {
-    "one_replan": Options(once=True, learn=False, retime=False, drift=False, insert=False, avoid=False),
-    "paper_expert": Options(learn=False, retime=False, drift=False, insert=False, avoid=False),
-    "with_learning": Options(retime=False, drift=False, insert=False, avoid=False),
-    "with_retiming": Options(drift=False, insert=False, avoid=False),
-    "with_drift": Options(insert=False, avoid=False),
+    "one_replan": Options(
+        once=True, learn=False, retime=False, drift=False, insert=False, reoptimise=False, avoid=False
+    ),
+    "paper_expert": Options(learn=False, retime=False, drift=False, insert=False, reoptimise=False, avoid=False),
+    "with_learning": Options(retime=False, drift=False, insert=False, reoptimise=False, avoid=False),
+    "with_retiming": Options(drift=False, insert=False, reoptimise=False, avoid=False),
+    "with_drift": Options(insert=False, reoptimise=False, avoid=False),
 }

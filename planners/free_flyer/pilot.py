@@ -24,6 +24,7 @@ from planners.free_flyer.progress import (
     find_strike,
 )
 from planners.free_flyer.reference_tracking import track
+from planners.free_flyer.reoptimisation import Program
 from planners.free_flyer.replanner import replan
 from planners.free_flyer.retiming import look_ahead
 from planners.free_flyer.script import (
@@ -64,13 +65,17 @@ def start_world(script: Script, progress: Progress, options: Options, k: int) ->
 
 
 @compiled
-def observe_world(script: Script, progress: Progress, options: Options, k: int, joint: np.ndarray) -> int:
+def observe_world(
+    script: Script, progress: Progress, options: Options, program: Program, c: int, k: int, joint: np.ndarray
+) -> int:
     """Update the estimates, take note of contacts and missed impacts, look ahead.
 
     Args:
         script: what is followed.
         progress: of all worlds.
         options: which parts of the loop are on.
+        program: of all threads.
+        c: thread.
         k: world.
         joint: everything measured once, shape (N, 7 n + r + 3).
 
@@ -87,7 +92,7 @@ def observe_world(script: Script, progress: Progress, options: Options, k: int, 
             take_contact(script, progress, k, r, now)
     take_misses(script, progress, options, k, now)
     learn_from_hits(script, progress, options, k, now)
-    look_ahead(script, progress, options, k, now)
+    look_ahead(script, progress, options, program, c, k, now)
     return find_due(script, progress, k, now)
 
 

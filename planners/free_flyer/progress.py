@@ -15,7 +15,8 @@ from planners.free_flyer.tracking import STAGES
 FILTER_SIZE, HIT_SIZE, SENSOR_SIZE = 12, 14, 4
 # Columns of Progress.strike, the coming impact of an object. IMPACT_INDEX: in the plan, or END if none is left;
 # INSERTED: 1 if it is none of the plan; AGENT: robot that hits; SCALE, TURN: correction of the impulse; SOLVED: 1 if
-# the two-body problem was solved; LAST: time of the object's last contact; LOOKED: time of the last retiming.
+# the two-body problem was solved; LAST: time of the object's last contact; LOOKED, OPTIMISED: times of
+# the last retiming and re-optimisation.
 (
     IMPACT_INDEX,
     INSERTED,
@@ -44,8 +45,9 @@ FILTER_SIZE, HIT_SIZE, SENSOR_SIZE = 12, 14, 4
     OBJECT_Y,
     REFERENCE_X,
     REFERENCE_Y,
+    OPTIMISED,
     STRIKE_SIZE,
-) = range(28)
+) = range(29)
 # Columns of Progress.hit, the last impact of an object and what was learned from all of them. PENDING: 1 until the
 # change of velocity can be observed; BEFORE: velocity before it; LATEST: velocity a step ago; APPROACH: change that is
 # expected of the estimated approach speed; FACTOR, SPREAD: true over believed velocity gain, mean and variance, KNOWN_
@@ -83,6 +85,8 @@ COUNTERS = (
     "no_measurement",
     "avoided",
     "off_centre",
+    "reoptimised",
+    "no_optimum",
 )
 (
     REPLANS,
@@ -97,6 +101,8 @@ COUNTERS = (
     NO_MEASUREMENT,
     AVOIDED,
     OFF_CENTRE,
+    REOPTIMISED,
+    NO_OPTIMUM,
 ) = range(len(COUNTERS))
 NOBODY, UNKNOWN = -2, -1  # in Progress.touch
 
@@ -113,11 +119,12 @@ class Progress(NamedTuple):
         push: commanded acceleration of the robots since the last measurement, shape (N, r, 2) [m/s^2].
         touch: body that each robot touched, UNKNOWN or NOBODY, shape (N, r).
         course: of the robots, shape (N, r, 19).
-        strike: coming impact of each object, shape (N, m, 27).
+        strike: coming impact of each object, shape (N, m, 28).
         hit: last impact of each object, shape (N, m, 14).
         clock: expected times of the planned impacts, shape (N, K) [s].
+        place: wanted positions of the knots, shape (N, K + m, 2) [m].
         shifted: inputs left of the last successful MPC, and how many, shape (N, r, 31).
-        counts: of what happened, see COUNTERS, shape (N, 12).
+        counts: of what happened, see COUNTERS, shape (N, 14).
     """
 
     time: np.ndarray
@@ -131,6 +138,7 @@ class Progress(NamedTuple):
     strike: np.ndarray
     hit: np.ndarray
     clock: np.ndarray
+    place: np.ndarray
     shifted: np.ndarray
     counts: np.ndarray
 
@@ -155,6 +163,7 @@ def make_progress(script: Script, count: int) -> Progress:
         strike=np.zeros((count, n - r, STRIKE_SIZE)),
         hit=np.zeros((count, n - r, HIT_SIZE)),
         clock=np.zeros((count, planned)),
+        place=np.zeros((count, len(script.knot), 2)),
         shifted=np.zeros((count, r, 3 * STAGES + 1)),
         counts=np.zeros((count, len(COUNTERS)), np.int64),
     )

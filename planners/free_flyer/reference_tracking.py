@@ -8,7 +8,7 @@ import numpy as np
 
 from impact_envs.compiled import compiled
 from planners.free_flyer.avoidance import keep_off
-from planners.free_flyer.course import IMPACT, UNTIL, evaluate_course
+from planners.free_flyer.course import IMPACT, evaluate_course
 from planners.free_flyer.options import Options
 from planners.free_flyer.progress import (
     FACTOR,
@@ -20,6 +20,7 @@ from planners.free_flyer.progress import (
     PLUS_X,
     PLUS_Y,
     SHIFTED_PLAN,
+    TIME,
     Progress,
 )
 from planners.free_flyer.script import (
@@ -115,9 +116,9 @@ def fill_reference(script: Script, progress: Progress, workspace: Workspace, c: 
     jump, heading = workspace.jump[c], progress.heading[k, r, 0]
     for j in range(STAGES):
         durations[j] = h
-    ahead, node = progress.course[k, r, UNTIL] - now, NO_JUMP
-    striking = o != END and progress.course[k, r, IMPACT] > 0.0
-    if striking and ahead >= 0.0 and ahead < (STAGES - 0.5) * h:
+    node, striking = NO_JUMP, o != END and progress.course[k, r, IMPACT] > 0.0
+    ahead = progress.strike[k, o, TIME] - now if striking else math.inf
+    if ahead >= 0.0 and ahead < (STAGES - 0.5) * h:
         strike, body = progress.strike[k, o], script.robots + o
         node = min(max(math.floor(ahead / h + 0.5), 1), STAGES - 1)
         durations[node - 1] = ahead - (node - 1) * h

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
-from planners.free_flyer.aim import aim, hasten
+from planners.free_flyer.aim import ROUND_OFF, aim, hasten
 from planners.free_flyer.course import approach, evaluate_course
 from planners.free_flyer.estimator import extrapolate
 from planners.free_flyer.options import Options
@@ -50,6 +50,8 @@ from planners.free_flyer.two_body import solve_two_body_impact
 
 CENTRAL = 0.966  # cosine by which an impulse may turn to go through the centre of an object that is no disc
 POSTPONEMENTS = 10  # of a second each
+STEADY_WAY = 0.03  # of a robot towards the object, that it goes at constant speed before it hits it [m],
+STEADY, QUICK = 1.5, 0.3  # for no longer than this, and not if that is done as quickly [s]
 OFF_COURSE = 0.1  # tracking error above which a course starts from the estimated state [m]
 SCALE_RANGE = 0.5  # of the logarithm of the impulse, at correction 1
 ROTATION_RANGE = 0.3  # of the impulse, at correction 1 [rad]
@@ -104,9 +106,12 @@ def replan(script: Script, progress: Progress, options: Options, k: int, r: int,
         begin = (z[0], z[1], z[2], z[3], begin[4], begin[5])
         if options.retime:
             postpone(script, progress, options, k, r, o, now)
-    time, contact = strike[TIME], (strike[CONTACT_X], strike[CONTACT_Y])
     index = int(strike[IMPACT_INDEX])
     planned = -1.0 if strike[INSERTED] > 0.0 else script.impact[index, AT]
+    vx, vy = strike[MINUS_X], strike[MINUS_Y]
+    # The slower robot and object meet, the earlier or later a small error of position lets them: steadily, then.
+    slow = max(math.hypot(vx - strike[OBJECT_X], vy - strike[OBJECT_Y]), ROUND_OFF)
+    steady = min(max(STEADY_WAY / slow - QUICK, 0.0), STEADY, (strike[TIME] - now) / 4)
     approach(
         progress.course,
         script.breaks,
@@ -115,9 +120,9 @@ def replan(script: Script, progress: Progress, options: Options, k: int, r: int,
         r,
         now,
         begin,
-        contact,
-        (strike[MINUS_X], strike[MINUS_Y]),
-        time,
+        (strike[CONTACT_X] - steady * vx, strike[CONTACT_Y] - steady * vy),
+        (vx, vy),
+        strike[TIME] - steady,
         planned,
     )
     strike[REPLANNED] = now

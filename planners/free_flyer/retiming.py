@@ -30,8 +30,11 @@ from planners.free_flyer.progress import (
     LAST,
     LOOKED,
     MISSES,
+    NO_OPTIMUM,
+    OPTIMISED,
     REFERENCE_X,
     REFERENCE_Y,
+    REOPTIMISED,
     REPLANNED,
     RETIMED,
     SCALE,
@@ -41,12 +44,11 @@ from planners.free_flyer.progress import (
     Progress,
     find_next_event,
 )
+from planners.free_flyer.reoptimisation import Program, reoptimise
 from planners.free_flyer.script import (
     CLOSE,
     DEPTH,
     END,
-    KNOT_X,
-    KNOT_Y,
     MASS,
     NEXT,
     NORMAL_X,
@@ -85,7 +87,9 @@ EASE = 0.9  # of the thrust
 
 
 @compiled
-def look_ahead(script: Script, progress: Progress, options: Options, k: int, now: float) -> None:
+def look_ahead(
+    script: Script, progress: Progress, options: Options, program: Program, c: int, k: int, now: float
+) -> None:
     """Move or insert the coming impacts of world k, where options say so and the objects' flight is known."""
     for o in range(len(script.first)):
         strike = progress.strike[k, o]
@@ -93,6 +97,13 @@ def look_ahead(script: Script, progress: Progress, options: Options, k: int, now
         if not settled or strike[INSERTED] > 0.0 or now < strike[LOOKED] + REPLAN_PERIOD - ROUND_OFF:
             continue
         strike[LOOKED] = now
+        if options.reoptimise and strike[LAST] > strike[OPTIMISED] and strike[IMPACT_INDEX] != END:
+            strike[OPTIMISED] = now
+            if reoptimise(script, progress, program, c, k, o, now):
+                progress.counts[k, REOPTIMISED] += 1
+                set_clocks(script, progress, k, now)
+            else:
+                progress.counts[k, NO_OPTIMUM] += 1
         if options.retime and strike[LAST] > 0.0 and strike[IMPACT_INDEX] != END and now <= strike[TIME] - FROZEN:
             retime(script, progress, k, o, now)
         if options.insert and strike[EXTRA] < MOST_INSERTED and strike[LAST] > 0.0:
@@ -100,13 +111,13 @@ def look_ahead(script: Script, progress: Progress, options: Options, k: int, now
 
 
 @compiled
-def compute_reserve(script: Script, knot: int) -> float:
+def compute_reserve(script: Script, progress: Progress, k: int, knot: int) -> float:
     """Return the latest time of an impact from which all later ones can be reached [s]."""
     latest, at = script.horizon - max(RESERVE, RESERVE_SHARE * script.horizon), int(script.impact[knot, NEXT])
-    x, y = script.knot[knot, KNOT_X], script.knot[knot, KNOT_Y]
+    x, y = progress.place[k, knot, 0], progress.place[k, knot, 1]
     while at != END:
-        latest -= math.hypot(script.knot[at, KNOT_X] - x, script.knot[at, KNOT_Y] - y) / CRUISE
-        x, y = script.knot[at, KNOT_X], script.knot[at, KNOT_Y]
+        latest -= math.hypot(progress.place[k, at, 0] - x, progress.place[k, at, 1] - y) / CRUISE
+        x, y = progress.place[k, at, 0], progress.place[k, at, 1]
         at = int(script.impact[at, NEXT])
     return latest
 
@@ -119,12 +130,12 @@ def retime(script: Script, progress: Progress, k: int, o: int, now: float) -> No
     """
     strike = progress.strike[k, o]
     index, old = int(strike[IMPACT_INDEX]), strike[TIME]
-    latest = min(script.knot[index, CLOSE], max(compute_reserve(script, index), old))
+    latest = min(script.knot[index, CLOSE], max(compute_reserve(script, progress, k, index), old))
     notice = FROZEN
     r, body = int(strike[AGENT]), script.robots + o
     reach = script.body[r, RADIUS] + script.body[body, RADIUS]
-    place_x = script.knot[index, KNOT_X] - reach * script.impact[index, NORMAL_X]
-    place_y = script.knot[index, KNOT_Y] - reach * script.impact[index, NORMAL_Y]
+    place_x = progress.place[k, index, 0] - reach * script.impact[index, NORMAL_X]
+    place_y = progress.place[k, index, 1] - reach * script.impact[index, NORMAL_Y]
     while now + notice < old and not is_reachable(script, progress, k, r, place_x, place_y, 0.0, 0.0, notice):
         notice += 1.0
     earliest = min(max(now + notice, script.knot[index, OPEN]), old)
@@ -173,7 +184,7 @@ def compute_miss(script: Script, progress: Progress, k: int, o: int, time: float
     """Return what `retime` minimises."""
     knot = int(progress.strike[k, o, IMPACT_INDEX])
     x, y, _, _ = extrapolate(progress, k, script.robots + o, time)
-    dx, dy = x - script.knot[knot, KNOT_X], y - script.knot[knot, KNOT_Y]
+    dx, dy = x - progress.place[k, knot, 0], y - progress.place[k, knot, 1]
     outside = max(min(CROWDING, 0.4 * script.knot[knot, DEPTH]) - compute_margin(script, knot, x, y), 0.0)
     return dx * dx + dy * dy + OUTSIDE * outside * outside + PULL * (time - old) * (time - old)
 
@@ -222,7 +233,7 @@ def compute_leg(script: Script, progress: Progress, k: int, o: int, knot: int, o
     x, y, _, _ = extrapolate(progress, k, script.robots + o, time)
     if over:
         return script.horizon - time
-    way = math.hypot(script.knot[knot, KNOT_X] - x, script.knot[knot, KNOT_Y] - y)
+    way = math.hypot(progress.place[k, knot, 0] - x, progress.place[k, knot, 1] - y)
     longest = max(script.knot[knot, CLOSE] - time, LEAST_LEG)
     return max(progress.clock[k, knot] - time, min(way / CRUISE, longest), LEAST_LEG)
 
@@ -237,7 +248,7 @@ def choose_agent(
     x, y, vx, vy = extrapolate(progress, k, body, time)
     if not over and time + duration > script.knot[knot, CLOSE] + ROUND_OFF:
         return END
-    target_x, target_y = script.knot[knot, KNOT_X], script.knot[knot, KNOT_Y]
+    target_x, target_y = progress.place[k, knot, 0], progress.place[k, knot, 1]
     if over:
         share = find_share(script, knot, x, y, target_x, target_y)
         target_x, target_y = x + share * (target_x - x), y + share * (target_y - y)

@@ -28,6 +28,7 @@ from planners.free_flyer.progress import (
     LATEST_Y,
     LOOKED,
     MISSES,
+    OPTIMISED,
     OUTCOME,
     PENDING,
     RATIO,
@@ -50,6 +51,8 @@ from planners.free_flyer.script import (
     AT,
     CLOSE,
     END,
+    KNOT_X,
+    KNOT_Y,
     NEXT,
     NORMAL_X,
     NORMAL_Y,
@@ -74,22 +77,36 @@ PRIOR_SPREAD = 0.13  # standard deviation of the true over the believed velocity
 APPROACH_ERROR = 4e-3  # standard deviation of the estimated approach speed [m/s]
 MODEL_ERROR = 0.02  # standard deviation of an observed factor, at least
 RETURN_SECONDS = 12.0  # longest quintic back to the plan
+HASTE = 0.8  # of the time until a window closes, that a flight into it takes
+FAST = 0.2  # speed of such a flight, at most [m/s]
 FASTEST_CLOCK = 1.5  # plan seconds per second; more would force the end pose within the few seconds left
 
 
 @compiled
 def start_strikes(script: Script, progress: Progress, k: int) -> None:
     """Start world k with the first impact of every object."""
-    for i in range(len(script.impact)):
-        # What has to happen in a window is expected in its first half: late objects are the rule.
-        middle = (script.knot[i, OPEN] + script.knot[i, CLOSE]) / 2
-        progress.clock[k, i] = min(script.impact[i, AT], middle)
+    for o in range(len(script.first)):
+        at, before = int(script.first[o]), END
+        while at != END:
+            progress.clock[k, at] = script.impact[at, AT]
+            if before != END and script.knot[at, CLOSE] < math.inf:
+                # Late objects are the rule: a flight that a window ends is begun fast enough for a weak throw.
+                start = progress.clock[k, before]
+                way = math.hypot(
+                    script.knot[at, KNOT_X] - script.knot[before, KNOT_X],
+                    script.knot[at, KNOT_Y] - script.knot[before, KNOT_Y],
+                )
+                sooner = start + max(HASTE * (script.knot[at, CLOSE] - start), way / FAST)
+                progress.clock[k, at] = min(max(sooner, script.knot[at, OPEN]), script.impact[at, AT])
+            at, before = int(script.impact[at, NEXT]), at
+    for i in range(len(script.knot)):
+        progress.place[k, i, 0], progress.place[k, i, 1] = script.knot[i, KNOT_X], script.knot[i, KNOT_Y]
     for o in range(len(script.first)):
         for column in range(progress.strike.shape[2]):
             progress.strike[k, o, column] = 0.0
         for column in range(progress.hit.shape[2]):
             progress.hit[k, o, column] = 0.0
-        progress.strike[k, o, LAST] = progress.strike[k, o, LOOKED] = -math.inf
+        progress.strike[k, o, LAST] = progress.strike[k, o, LOOKED] = progress.strike[k, o, OPTIMISED] = -math.inf
         progress.hit[k, o, FACTOR] = progress.hit[k, o, KNOWN_FACTOR] = 1.0
         progress.hit[k, o, SPREAD] = progress.hit[k, o, KNOWN_SPREAD] = PRIOR_SPREAD * PRIOR_SPREAD
         await_impact(script, progress, k, o, int(script.first[o]), 0.0)
