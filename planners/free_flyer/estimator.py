@@ -43,7 +43,8 @@ POSITION_FLOOR = 1e-7  # of measured positions, at least [m]
 # positions then hardly counts, an exact one counts fully.
 VELOCITY_RATIO = 100.0
 MEMORY = 50.0  # samples over which the position noise is estimated
-THRUST = 4e-3  # unmodelled acceleration of robots [m/s^2]
+THRUST = 4e-3  # unmodelled acceleration of robots [m/s^2],
+THRUST_SHARE = 0.15  # and this share of what they are pushed with
 FLIGHT = 1e-5  # unmodelled acceleration of objects [m/s^2]
 KEPT = 3e-4  # of objects that keep their velocity [m/s^2]
 DRIFT = 5e-4  # constant acceleration of an object [m/s^2]
@@ -170,7 +171,8 @@ def update_estimates(script: Script, progress: Progress, k: int, joint: np.ndarr
     for i in range(n):
         ux, uy = (progress.push[k, i, 0], progress.push[k, i, 1]) if i < r else (0.0, 0.0)
         keeps = script.body[i, KEEPS] > 0.0
-        predict(progress.filter[k, i], ux, uy, h, THRUST if i < r else KEPT if keeps else FLIGHT)
+        unmodelled = THRUST + THRUST_SHARE * math.hypot(ux, uy) if i < r else KEPT if keeps else FLIGHT
+        predict(progress.filter[k, i], ux, uy, h, unmodelled)
     calm = True
     for i in range(r):
         progress.touch[k, i] = NOBODY

@@ -83,7 +83,7 @@ LEAST_CHANGE = 4e-3  # of the object's velocity that is worth an impact [m/s]
 SIDE = 0.6  # cosine between the way from robot to object and the change of velocity, at least
 EDGE = 0.2  # or if its robot would come so near to the edge of areas it may not leave [m]
 WALL = 0.1  # kept by the robot from the edge of areas it may not leave [m]
-EASE = 0.9  # of the thrust
+EASE = 0.75  # of the thrust
 
 
 @compiled
