@@ -103,7 +103,7 @@ class ImpactEnv(ParallelEnv):
     possible (the online monitor's bounds, clipped to the world's diagonal), plus the robustness reached at the end;
     each agent pays ``EFFORT_WEIGHT`` times its effort (see the task). The sum over agents is what JointEnv returns.
 
-    Starting state: as the scenario says, at rest; the true physics are drawn from the reset seed.
+    Starting state: as the scenario says; the true physics are drawn from the reset seed.
 
     Episode end: never ``terminated``; ``truncated`` at the scenario's horizon (or ``max_cycles``, if earlier).
 

@@ -89,8 +89,7 @@ class Batch:
             float(scenario.control_period), float(true.position_noise), true.velocity_measured, true.delay_steps
         )
         steps = scenario.steps if max_cycles is None else min(max_cycles, scenario.steps)
-        starts = [(*body.start, 0.0, 0.0, body.heading, 0.0) for body in map(scenario.body, scenario.bodies)]
-        self._rules = Rules(float(scenario.horizon), steps, scenario.world.diagonal, effort, np.array([starts]))
+        self._rules = Rules(float(scenario.horizon), steps, scenario.world.diagonal, effort, scenario.starts[None])
         self.robots, self.bodies = len(scenario.robots), len(scenario.bodies)
         self.joint_size = BODY_SIZE * self.bodies + self.robots + TAIL_SIZE - 1
         self.agent_size = BODY_SIZE * self.bodies + TAIL_SIZE

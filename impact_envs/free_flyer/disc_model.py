@@ -59,7 +59,7 @@ class DiscModel:
         self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
 
     def reset(self, physics: Physics) -> None:
-        """Put all bodies at rest at their start, in a world with these physics.
+        """Put all bodies at their start, in a world with these physics.
 
         Args:
             physics: the drawn numbers of one episode.
@@ -76,8 +76,7 @@ class DiscModel:
         worlds.contact[0] = physics.restitution, physics.restitution_speed, physics.friction
         self._states = np.empty_like(worlds.state)
         self._arrays = (*self._arena, *worlds, *self._scratch, self._log)
-        tables = [self.scenario.body(name) for name in names]
-        self.set_state(np.array([(*table.start, 0.0, 0.0, table.heading, 0.0) for table in tables]))
+        self.set_state(self.scenario.starts)
 
     @property
     def time(self) -> float:

@@ -150,7 +150,9 @@ def keep_velocity(arena: Arena, worlds: Worlds, k: int, i: int, felt: bool) -> t
     if worlds.counter[k, STEPS] == 0 or felt:
         body[k, i, SINCE] = 0.0 if felt else math.inf
         body[k, i, LINE_X], body[k, i, LINE_Y] = x, y
-        body[k, i, LINE_VX] = body[k, i, LINE_VY] = 0.0
+        # What it was given at the start it keeps; after an impact this is measured first.
+        body[k, i, LINE_VX] = 0.0 if felt else worlds.state[k, i, 2]
+        body[k, i, LINE_VY] = 0.0 if felt else worlds.state[k, i, 3]
     else:
         body[k, i, SINCE] += h
     since = body[k, i, SINCE]

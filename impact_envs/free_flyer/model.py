@@ -68,7 +68,7 @@ class FreeFlyerModel:
         self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
 
     def reset(self, physics: Physics) -> None:
-        """Put all bodies at rest at their start, in a world with these physics.
+        """Put all bodies at their start, in a world with these physics.
 
         Args:
             physics: the drawn numbers of one episode.
@@ -79,8 +79,7 @@ class FreeFlyerModel:
         self._bodies = [self._make_body(name) for name in self.scenario.bodies] + self._fixed
         self._movable = self._bodies[: len(self.scenario.bodies)]
         self._robots = {name: self._bodies[i] for i, name in enumerate(self.scenario.robots)}
-        tables = [self.scenario.body(name) for name in self.scenario.bodies]
-        self.set_state(np.array([(*table.start, 0.0, 0.0, table.heading, 0.0) for table in tables]))
+        self.set_state(self.scenario.starts)
         self._masses = np.array([m for body in self._movable for m in (body.mass, body.mass, body.inertia)])
 
     @property

@@ -41,6 +41,7 @@ class Body(Table):
     """What robots and objects have in common; masses are the believed ones."""
 
     start: Vector  # position of the geometric centre [m]
+    start_velocity: Vector = (0.0, 0.0)  # of the geometric centre at the start [m/s]
     heading: Finite = 0.0  # [rad]
     mass: Positive  # [kg]
     inertia: Positive  # about the centre of mass [kg m^2]
@@ -63,7 +64,12 @@ class Object(Body):
     rest: bool = True  # must it be at rest at the horizon
     keep_force: NonNegative = 0.0  # of its own thrusters, by which it keeps its velocity between impacts; 0: none [N]
     start_uncertainty: tuple[NonNegative, NonNegative] = (0.0, 0.0)  # half widths of the box it may start in [m]
-    final_speed: Positive = 0.05  # per axis at the horizon, where impacts are uncertain and it has to rest [m/s]
+    final_speed: Positive = 0.05  # per axis at the horizon, where it has to rest but is uncertain or never hit [m/s]
+
+    @property
+    def must_stop(self) -> bool:
+        """Return whether it starts too fast to count as at rest at the horizon if it is never hit."""
+        return self.rest and max(map(abs, self.start_velocity)) > self.final_speed
 
     @model_validator(mode="after")
     def _shape(self) -> Self:
@@ -203,6 +209,17 @@ class FreeFlyerScenario(Scenario):
     def body(self, name: str) -> Robot | Object:
         """Return a robot or object by name."""
         return self.robots[name] if name in self.robots else self.objects[name]
+
+    @property
+    def starts(self) -> np.ndarray:
+        """Return the states of all bodies at the start, as models return them, shape (bodies, 6)."""
+        tables = [self.body(name) for name in self.bodies]
+        return np.array([(*table.start, *table.start_velocity, table.heading, 0.0) for table in tables])
+
+    @property
+    def starts_moving(self) -> bool:
+        """Return whether any body has a velocity at the start."""
+        return any(any(self.body(name).start_velocity) for name in self.bodies)
 
     def as_believed(self) -> Self:
         """Return the scenario as the expert sees it: the true world is the believed one, undisturbed."""

@@ -217,6 +217,8 @@ def _check_arguments(
             raise InputError(f"curves: body '{name}' is unknown; {choices(name, scenario.bodies)}")
         if count < 1:
             raise InputError(f"curves: {name} has {count}, it needs at least 1")
+    if scenario.starts_moving:
+        raise InputError(f"{scenario.name}: start_velocity: this planner takes bodies that start at rest")
     if max_impacts is not None and max_impacts < 0:
         raise InputError(f"max_impacts is {max_impacts}, it must not be negative")
     if not time_limit > 0:

@@ -129,7 +129,8 @@ def _wanted(
     if not isinstance(apart, Affine):
         # Elsewhere, bodies clear of each other along another axis might meet while they come clear along this one.
         widest = float(np.abs(np.array(grid.knots[pair[0]][knot] - grid.knots[pair[1]][knot], dtype=float)).max())
-        return min(max(float(apart), touching if widest >= touching else nearest), far)
+        # Where robots come to a halt they may be nearer to others' starts than bodies ever are.
+        return min(max(float(apart), touching if widest >= touching else min(nearest, widest)), far)
     if knot == grid.count:
         far = touching + reserves.wall
     if isinstance(first, Object):

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.cones import solve_cones
-from planners.errors import Infeasible
+from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.choices import Choices
 from planners.free_flyer.clearance_rows import solve_apart
 from planners.free_flyer.event_grid import EventGrid, build_event_grid
@@ -29,6 +31,7 @@ Share = tuple[str, Affine, Affine, Affine]  # body, effort e >= D^2 / T, move D,
 ROUNDS = 4  # of outer approximation, at most
 # Reach areas at events only; keep the reserve from areas to avoid. In the order they are given up.
 WISHES = ((True, True), (True, False), (False, True), (False, False))
+QUICK_WISHES, QUICK_WEIGHTS = (WISHES[0], WISHES[-1]), WEIGHTS[1:2]
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,9 @@ def minimise_effort(
     time_limit: float,
     word: Word | None = None,
     solver: str = "highs",
+    gap: float = RELATIVE_GAP,
+    rounds: int = ROUNDS,
+    thorough: bool = True,
 ) -> EffortOptimum:
     r"""Return the events of least effort that keep a robustness.
 
@@ -72,9 +78,12 @@ def minimise_effort(
         rho: robustness to keep [m].
         reserves: what the plan keeps in hand.
         forbidden: words that are excluded.
-        time_limit: of each mixed-integer solution [s].
+        time_limit: of each mixed-integer solution, and of them all if not thorough [s].
         word: who hits what; open without.
         solver: of mixed-integer models.
+        gap: to which the least effort is proven.
+        rounds: of outer approximation, at most.
+        thorough: whether all wishes and weights are gone through.
 
     Returns:
         The events, their effort and its bound under these wishes.
@@ -84,12 +93,15 @@ def minimise_effort(
         SolverFailed: out of time.
     """
     failure: Infeasible | None = None
-    for wish, weight in itertools.product(WISHES, WEIGHTS if len(scenario.objects) > 1 else WEIGHTS[:1]):
+    deadline = np.inf if thorough else time.perf_counter() + time_limit
+    wishes, weights = (WISHES, WEIGHTS) if thorough else (QUICK_WISHES, QUICK_WEIGHTS)
+    for wish, weight in itertools.product(wishes, weights if len(scenario.objects) > 1 else WEIGHTS[:1]):
         try:
             problem = build_effort_problem(
-                scenario, demands, shape, rho, reserves, time_limit, wish, word, solver, forbidden
+                scenario, demands, shape, rho, reserves, time_limit, wish, word, solver, forbidden, rounds=rounds
             )
-            return problem.solve(weight)
+            problem.deadline = deadline
+            return problem.solve(weight, gap)
         except Infeasible as error:
             failure = error
     assert failure is not None
@@ -154,6 +166,7 @@ class EffortProblem:
         time_limit: of each mixed-integer solution [s].
         solver: of mixed-integer models.
         rounds: of outer approximation, at most.
+        deadline: of `time.perf_counter` for all of them [s].
         bound: of the effort, proven so far [m^2/s].
     """
 
@@ -165,17 +178,26 @@ class EffortProblem:
     time_limit: float
     solver: str
     rounds: int
+    deadline: float = np.inf
     bound: float = 0.0
 
     def relax(self, nodes: int = 0) -> tuple[float, np.ndarray | None]:
         """Return a lower bound of the effort, without the distances not added yet (see `compute_lower_bound`)."""
-        return compute_lower_bound(self.grid.model, self.time_limit, nodes)
+        return compute_lower_bound(self.grid.model, self._find_left(), nodes)
 
-    def solve(self, weight: float = 1.0) -> EffortOptimum:
+    def _find_left(self) -> float:
+        """Return the time left for a solution [s]."""
+        left = self.deadline - time.perf_counter()
+        if left <= 0.0:
+            raise SolverFailed(self.grid.model.name, "time limit reached", "raise the time limit")
+        return min(self.time_limit, left)
+
+    def solve(self, weight: float = 1.0, gap: float = RELATIVE_GAP) -> EffortOptimum:
         """Return the best of some rounds of outer approximation, each of which tightens the bound.
 
         Args:
             weight: of the objects' effort where several objects' flights have to be straightened.
+            gap: to which the least effort is proven.
 
         Raises:
             Infeasible: no such events.
@@ -185,18 +207,18 @@ class EffortProblem:
             self._straighten(weight)
         best, effort = None, np.inf
         for _ in range(self.rounds):
-            x = solve_apart(self.grid, self.scenario, self.reserves, self._solve_round)
+            x = solve_apart(self.grid, self.scenario, self.reserves, partial(self._solve_round, gap))
             found = _compute_effort(self.shares, x)
             if found < effort - 1e-9:
                 best, effort = x, found
-            if effort - self.bound <= RELATIVE_GAP * effort:
+            if effort - self.bound <= gap * effort:
                 break
             self._add_tangents(x)
         assert best is not None
         return read_events(self.scenario, self.grid, self.choices, best, self.bound)
 
-    def _solve_round(self) -> np.ndarray:
-        relaxed = solve(self.grid.model, self.time_limit, RELATIVE_GAP / 2, self.solver)
+    def _solve_round(self, gap: float) -> np.ndarray:
+        relaxed = solve(self.grid.model, self._find_left(), gap / 2, self.solver)
         self.bound = max(self.bound, relaxed.bound)
         self._relaxed = relaxed.x
         return solve_cones(self.grid.model, relaxed.x, [share for _, *share in self.shares])
@@ -213,7 +235,7 @@ class EffortProblem:
         weights = [weight if name in grid.objects else 1.0 for name, *_ in self.shares]
         model.objective = sum((share * w for (_, share, *_), w in zip(self.shares, weights, strict=True)), Affine({}))
         x = solve_apart(
-            grid, self.scenario, self.reserves, lambda: solve(model, self.time_limit, COARSE_GAP, self.solver).x
+            grid, self.scenario, self.reserves, lambda: solve(model, self._find_left(), COARSE_GAP, self.solver).x
         )
         model.objective = effort
         for hits in grid.hits:
@@ -223,7 +245,9 @@ class EffortProblem:
         moments = evaluate(times, x)
         for name in grid.objects:
             path = np.array(grid.path(name), dtype=object)
-            for a, b in itertools.pairwise(own_events(word, name)):
+            own = own_events(word, name)
+            # Up to its first own event, one that moves at the start is on its ray.
+            for a, b in itertools.pairwise(own[1:] if name in grid.moving else own):
                 for k in range(a + 1, b):
                     share = (moments[k] - moments[a]) / (moments[b] - moments[a])
                     for values in (path[:, 0], path[:, 1], times):
@@ -283,16 +307,22 @@ def _read_sequence(scenario: FreeFlyerScenario, grid: EventGrid, x: np.ndarray) 
     """Return the events, with impact times on control steps and knots on micrometres.
 
     An area reached at an impact is then reached at a sample of the environment, and points that the
-    optimal robustness leaves no freedom are met exactly.
+    optimal robustness leaves no freedom are met exactly. The first impact of an object that moves at the start keeps
+    its time, for the place depends on it.
     """
-    period = scenario.control_period
+    period, word = scenario.control_period, read_word(grid, x)
     times = evaluate(grid.times, x)[:: grid.pieces]
-    times[1:-1] = np.round(np.round(times[1:-1] / period) * period, 9)
+    first = {name: own_events(word, name)[1] for name in grid.objects}
+    steps = [k for k in range(1, len(times) - 1) if k not in [first[name] for name in grid.moving]]
+    times[steps] = np.round(np.round(times[steps] / period) * period, 9)
     knots = {name: np.round(evaluate(points, x), 6) for name, points in grid.knots.items()}
     for name in scenario.bodies:
-        knots[name][0] = scenario.body(name).start
+        knots[name][0] = grid.knots[name][0]
     paths = {name: knots[name][:: grid.pieces] for name in grid.objects}
-    return EventSequence(times, paths, {name: knots[name] for name in scenario.robots}, read_word(grid, x))
+    for name, last in first.items():
+        body = scenario.objects[name]
+        paths[name][: last + 1] = np.array(body.start) + times[: last + 1, None] * np.array(body.start_velocity)
+    return EventSequence(times, paths, {name: knots[name] for name in scenario.robots}, word)
 
 
 def read_word(grid: EventGrid, x: np.ndarray) -> Word:

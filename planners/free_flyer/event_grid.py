@@ -5,6 +5,9 @@ so their velocity before an impact is free and follows from Eq. (5) once the obj
 impact law imposes nothing but a speed cap on the object's legs. With several objects, that an object keeps its
 velocity while another one is hit is bilinear and left out: the effort, which grows with every change of velocity,
 asks for it, and stage B makes it exact.
+
+What moves at the start: an object is on its ray p + v t up to its first impact; a robot's polyline begins where it
+would come to a halt.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
+from planners.errors import Infeasible
 from planners.free_flyer.events import Hitter, Word, compute_speed_caps
 from planners.free_flyer.reserves import Reserves
 from planners.mixed_integer import Affine, Model
@@ -30,6 +34,7 @@ BACKWARD = np.cos(np.maximum(0.0, np.arccos(np.clip(-DIRECTIONS @ AXES.T, -1.0, 
 # has a direction within 22.5 degrees; a turn needs room for the legs before and after.
 CONE_AT_REST, CONE_TURNING = np.tan(np.deg2rad([30.0, 60.0]))
 RUN_UP = 0.15  # room behind a robot that hits [m]
+BRAKING = 0.75  # share of the planned acceleration with which robots' starts are taken to brake
 LEAST_PUSH = 0.1  # of the object's displacements after and before an impact along its direction [m]
 Point = np.ndarray  # shape (2,), of numbers or expressions [m]
 
@@ -50,6 +55,8 @@ class EventGrid:
         caps: greatest speed per axis of every object on every piece [m/s].
         speeds: greatest speed per axis of every robot [m/s].
         turns: time every robot loses to starting and stopping, per piece [s].
+        moving: names of the objects that move at the start.
+        first_turn: share of turns that counts on the first leg.
         apart: pairs of bodies and pieces that have rows for their distance.
     """
 
@@ -64,6 +71,8 @@ class EventGrid:
     caps: dict[str, list[float]]
     speeds: dict[str, float]
     turns: dict[str, float]
+    moving: tuple[str, ...] = ()
+    first_turn: float = 1.0
     apart: set[tuple[str, str, int]] = field(default_factory=set)
 
     @property
@@ -131,12 +140,14 @@ def build_event_grid(
     """
     model = Model(f"event grid of {scenario.name} with {impacts} impacts", elastic)
     objects = tuple(scenario.objects)
+    score, times = model.variable(*rho), _add_times(model, scenario, impacts, pieces, reserves)
+    events = times[::pieces]
     grid = EventGrid(
         model=model,
-        rho=model.variable(*rho),
+        rho=score,
         pieces=pieces,
-        times=_add_times(model, scenario, impacts, pieces, reserves),
-        knots={name: _add_knots(model, scenario, name, impacts, pieces, reserves, word) for name in scenario.bodies},
+        times=times,
+        knots={name: _add_knots(model, scenario, name, events, pieces, reserves, word) for name in scenario.bodies},
         hits=[_add_hits(model, scenario, None if word is None else word[k]) for k in range(impacts)],
         sides=[[model.binary() for _ in DIRECTIONS] for _ in range(impacts)],
         objects=objects,
@@ -146,12 +157,15 @@ def build_event_grid(
         },
         speeds={name: reserves.cruise(robot) for name, robot in scenario.robots.items()},
         turns={name: reserves.turning(robot) / pieces for name, robot in scenario.robots.items()},
+        moving=tuple(name for name, body in scenario.objects.items() if any(body.start_velocity)),
+        first_turn=reserves.underway if scenario.starts_moving else 1.0,
     )
     for event in range(1, impacts + 1):
         _add_impact_rows(grid, scenario, event)
         for name in objects:
             _add_cone_rows(grid, event, name)
     _add_gap_rows(grid, scenario, reserves)
+    _require_hits(grid, scenario)
     if len(objects) > 1:
         _add_rest_rows(grid, scenario)
     _add_speed_rows(grid)
@@ -161,7 +175,9 @@ def build_event_grid(
 def _add_times(
     model: Model, scenario: FreeFlyerScenario, impacts: int, pieces: int, reserves: Reserves
 ) -> list[Affine | float]:
-    first, _, last = reserves.times(scenario.horizon)
+    first, gap, last = reserves.times(scenario.horizon)
+    if scenario.starts_moving:
+        first = min(first, gap)
     latest = max(scenario.horizon - last, first)
     events = [model.variable(first, latest, rigid=True) for _ in range(impacts)]
     return _refine([0.0, *events, scenario.horizon], pieces)
@@ -176,28 +192,50 @@ def _add_knots(
     model: Model,
     scenario: FreeFlyerScenario,
     name: str,
-    impacts: int,
+    events: Sequence[Affine | float],
     pieces: int,
     reserves: Reserves,
     word: Word | None,
 ) -> list[Point]:
-    body = scenario.body(name)
+    body, impacts = scenario.body(name), len(events) - 2
     inset = body.radius + reserves.wall
     lower, upper = np.array(scenario.world.lower) + inset, np.array(scenario.world.upper) - inset
     start = np.array(body.start)
     if isinstance(body, Robot):
         between = [model.vector(lower, upper) for _ in range((impacts + 1) * pieces - 1)]
-        return [start, *between, model.vector(lower, upper) if body.goal is None else np.array(body.goal)]
-    if impacts == 0:
-        return _refine([start, start], pieces)
+        halt = find_halt(body, reserves)
+        return [halt, *between, model.vector(lower, upper) if body.goal is None else np.array(body.goal)]
     # A body may start nearer to the world's edge than the reserve.
     lower, upper = np.minimum(lower, start), np.maximum(upper, start)
     struck = [True] * impacts if word is None else [hit[1] == name for hit in word]
-    knots = [start, start]
-    for k in range(1, impacts + 1):
-        flies = any(struck[:k]) and (any(struck[k:]) or not body.rest)
-        knots.append(model.vector(lower, upper) if flies else knots[-1])
+    # One that moves slowly may be left alone, and then flies on.
+    slow = word is None and len(scenario.objects) > 1 and any(body.start_velocity) and not body.must_stop
+    knots = [start]
+    for k in range(impacts + 1):
+        if not any(struck[:k]):
+            knots.append(_find_free(scenario, name, events[k + 1]))
+            for place, low, high in zip(knots[-1], lower - reserves.wall, upper + reserves.wall, strict=True):
+                model.require(low - place)
+                model.require(place - high)
+        elif any(struck[k:]) or not body.rest or slow:
+            knots.append(model.vector(lower, upper))
+        else:
+            knots.append(knots[-1])
     return _refine(knots, pieces)
+
+
+def find_halt(robot: Robot, reserves: Reserves) -> Point:
+    """Return where a robot that brakes from the start comes to a halt, p + v |v| / (2 a) per axis [m]."""
+    start, velocity = np.array(robot.start), np.array(robot.start_velocity)
+    return start + velocity * np.abs(velocity) / (2.0 * BRAKING * reserves.acceleration(robot))
+
+
+def _find_free(scenario: FreeFlyerScenario, name: str, time: Affine | float) -> Point:
+    """Return where an object is at a time before its first impact."""
+    body = scenario.objects[name]
+    if not any(body.start_velocity):
+        return np.array(body.start)
+    return np.array([time * v + p for p, v in zip(body.start, body.start_velocity, strict=True)])
 
 
 def _refine(values: Sequence[Any], pieces: int) -> list[Any]:
@@ -237,8 +275,10 @@ def _add_cone_rows(grid: EventGrid, event: int, name: str) -> None:
     """
     path, count = grid.path(name), len(grid.hits)
     missed = 1.0 - grid.involved(event, name)
+    # Whether its velocity before the event may be other than nil.
+    before = 1.0 if name in grid.moving else grid.strikes(range(1, event), name)
     pushes = [
-        (path[event + 1] - path[event], grid.strikes(range(1, event), name)),
+        (path[event + 1] - path[event], before),
         (path[event - 1] - path[event], grid.strikes(range(event + 1, count + 1), name)),
     ]
     moving = [push for push in pushes if any(grid.model.limits(entry) != (0.0, 0.0) for entry in push[0])]
@@ -268,18 +308,38 @@ def _add_gap_rows(grid: EventGrid, scenario: FreeFlyerScenario, reserves: Reserv
             grid.model.require(gap - wait, unless=2.0 - again)
 
 
-def _add_rest_rows(grid: EventGrid, scenario: FreeFlyerScenario) -> None:
-    """Keep objects where they are before their first impact, and after their last one if they have to rest."""
-    count = len(grid.hits)
+def _require_hits(grid: EventGrid, scenario: FreeFlyerScenario) -> None:
+    """Have every object hit that has to come to rest."""
     for name, body in scenario.objects.items():
-        path = grid.path(name)
-        for leg in range(1, count + body.rest):
+        if not body.must_stop:
+            continue
+        hits = grid.strikes(range(1, len(grid.hits) + 1), name)
+        if not isinstance(hits, Affine) and hits < 1.0:
+            raise Infeasible(grid.model.name, f"{name} moves and is not hit", "allow more impacts")
+        grid.model.require(1.0 - hits)
+
+
+def _add_rest_rows(grid: EventGrid, scenario: FreeFlyerScenario) -> None:
+    """Keep objects on their free motion before their first impact, and at rest after their last one if they have to.
+
+    One that is never hit is on its free motion, which is at rest or, where that is allowed, slow.
+    """
+    count, events = len(grid.hits), grid.times[:: grid.pieces]
+    for name, body in scenario.objects.items():
+        path, moves = grid.path(name), name in grid.moving
+        never: Affine | float = 0.0
+        if moves and not body.must_stop:
+            never = grid.model.binary()
+            grid.model.require(grid.strikes(range(1, count + 1), name) + (never - 1.0) * count)
+        for leg in range(1, count + 1):
             before = grid.strikes(range(1, leg + 1), name)
-            after = grid.strikes(range(leg + 1, count + 1), name)
-            for step, sign in itertools.product(path[leg + 1] - path[leg], (1.0, -1.0)):
-                grid.model.require(step * sign, unless=before)
+            after = grid.strikes(range(leg + 1, count + 1), name) + never
+            steps = path[leg + 1] - path[leg]
+            free = path[leg + 1] - _find_free(scenario, name, events[leg + 1]) if moves else steps
+            for d, sign in itertools.product(range(2), (1.0, -1.0)):
+                grid.model.require(free[d] * sign, unless=before)
                 if body.rest:
-                    grid.model.require(step * sign, unless=after)
+                    grid.model.require(steps[d] * sign, unless=after)
 
 
 def _add_speed_rows(grid: EventGrid) -> None:
@@ -290,7 +350,8 @@ def _add_speed_rows(grid: EventGrid) -> None:
     for name, knots in grid.knots.items():
         with grid.model.part(f"speed of {name}", 1e3):
             for piece in range(grid.count):
-                cruise = grid.duration(piece) - grid.turns.get(name, 0.0)
+                share = grid.first_turn if piece < grid.pieces else 1.0
+                cruise = grid.duration(piece) - share * grid.turns.get(name, 0.0)
                 for step in knots[piece + 1] - knots[piece]:
                     grid.model.require(step - grid.fastest(name, piece) * cruise)
                     grid.model.require(-step - grid.fastest(name, piece) * cruise)

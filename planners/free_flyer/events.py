@@ -118,8 +118,9 @@ def compute_speed_caps(scenario: FreeFlyerScenario, name: str, impacts: int, res
     A leg between impacts with |v^-|, |v^+| <= c per axis needs robot velocities v_R^- = (v^+ - m4 v^-) / m3
     and v_R^+ = m1 v_R^- + m2 v^-, which keep |v_R| <= v_max if
     c <= v_max / max((1 + |m4|) / m3, |m1| / m3 + |m2 - m1 m4 / m3|).
-    The object is at rest before the first impact, and after the last one if it has to be. Where several objects
-    share the impacts, whose is the first or last is open, and the least of these speeds holds for all legs.
+    The object is as fast as it starts before the first impact, and at rest after the last one if it has to be. Where
+    several objects share the impacts, whose is the first or last is open, and the least of these speeds holds for all
+    legs.
 
     Args:
         scenario: masses, restitution and speed limits.
@@ -128,17 +129,20 @@ def compute_speed_caps(scenario: FreeFlyerScenario, name: str, impacts: int, res
         reserves: what the plan keeps in hand.
 
     Returns:
-        K + 1 speeds [m/s]; zero where the object rests.
+        K + 1 speeds [m/s]; zero where the object rests. One that moves at the start may go on as fast on any leg, if
+        it is not the only one.
 
     Source: Verhagen & Tumova, Eq. (5), solved for the robot's velocities.
     """
     body = scenario.objects[name]
+    start = max(map(abs, body.start_velocity))
     free, first, last = [], [], []
     for robot in scenario.robots.values():
         m1, m2, m3, m4 = compute_mass_fractions(robot.mass, body.mass, scenario.believed.restitution)
         limit, through = reserves.cruise(robot), abs(m2 - m1 * m4 / m3)
         free.append(limit / max((1 + abs(m4)) / m3, abs(m1) / m3 + through))
-        first.append(limit / max(1 / m3, abs(m1) / m3))
+        room = (limit - abs(m4) / m3 * start) / (1 / m3), (limit - through * start) / max(abs(m1) / m3, 1e-9)
+        first.append(max(0.0, min(room)))
         last.append(limit / max(abs(m4) / m3, through, 1e-9))
     at_impact = [min(free)] * impacts
     if impacts and len(scenario.objects) == 1:
@@ -146,7 +150,8 @@ def compute_speed_caps(scenario: FreeFlyerScenario, name: str, impacts: int, res
         if impacts > 1 and body.rest:
             at_impact[-1] = min(last)
     moving = [min(body.speed_limit, *at_impact[k : k + 2]) for k in range(impacts)]
-    return [0.0, *moving[:-1], 0.0 if body.rest else moving[-1]] if impacts else [0.0]
+    caps = [start, *moving[:-1], 0.0 if body.rest else moving[-1]] if impacts else [start]
+    return [max(cap, start) for cap in caps] if len(scenario.objects) > 1 else caps
 
 
 def compute_mass_fractions(

@@ -237,6 +237,8 @@ def _check_arguments(
     for name, body in scenario.objects.items():
         if body.vertices is not None:
             raise InputError(f"{scenario.name}: objects.{name}: this planner takes disc objects, got a polygon")
+    if scenario.starts_moving:
+        raise InputError(f"{scenario.name}: start_velocity: this objective takes bodies that start at rest")
     if max_impacts < 1:
         raise InputError(f"max_impacts is {max_impacts}, it must be at least 1")
     if not time_limit > 0:

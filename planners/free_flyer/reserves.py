@@ -17,6 +17,8 @@ class Reserves:
         speed: share of the speed limits that legs between impacts may use.
         thrust: share of force_limit / mass that motions may use.
         turn: time to reach the speed of a leg from rest, or to stop from it, at this thrust [s].
+        slack: times the time that starting and stopping cost a leg.
+        underway: share of that time on the first leg, where bodies move at the start.
         first: least time before the first impact [s].
         gap: least time between impacts [s].
         last: least time after the last impact [s].
@@ -32,6 +34,8 @@ class Reserves:
     speed: float = 0.7
     thrust: float = 0.6
     turn: float = 4.0
+    slack: float = 1.0
+    underway: float = 0.5
     first: float = 8.0
     gap: float = 5.0
     last: float = 15.0
@@ -68,4 +72,4 @@ class Reserves:
 
     def turning(self, robot: Robot) -> float:
         """Return the time a robot loses to starting and stopping on a leg [s]."""
-        return self.cruise(robot) / self.acceleration(robot)
+        return self.slack * self.cruise(robot) / self.acceleration(robot)

@@ -11,7 +11,7 @@ from functools import partial
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import Always, And, Formula
 from planners.errors import Infeasible, PlanningError
-from planners.free_flyer.effort import WEIGHTS, WISHES, EffortProblem, build_effort_problem, read_word
+from planners.free_flyer.effort import QUICK_WISHES, WEIGHTS, WISHES, EffortProblem, build_effort_problem, read_word
 from planners.free_flyer.events import Word
 from planners.free_flyer.requirement import Demands
 from planners.free_flyer.reserves import Reserves
@@ -20,7 +20,7 @@ TANGENTS = 5  # perspective cuts per sign while words are compared
 GAP = 0.01  # to which words are compared
 NODES = 300  # of the search over all words that bounds the effort, if there are at most so many binaries of hits:
 FEW = 24
-EVALUATIONS = 60  # of words, at most
+EVALUATIONS, QUICK_EVALUATIONS = 60, 8  # of words, at most
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,7 @@ def search_words(
     seed: Word,
     time_limit: Callable[[], float],
     solver: str = "highs",
+    thorough: bool = True,
 ) -> WordSearch:
     """Search for the words of least effort that keep a robustness.
 
@@ -91,14 +92,17 @@ def search_words(
         seed: word to start from.
         time_limit: returns the time left [s].
         solver: of mixed-integer models.
+        thorough: whether to look on after the first word that has a plan, and to bound the effort.
 
     Returns:
         The words with plans; none if the search found none.
     """
-    bound, found = _bound_effort(scenario, demands, shape, rho, reserves, time_limit())
+    bound, found = 0.0, None
+    if thorough:
+        bound, found = _bound_effort(scenario, demands, shape, rho, reserves, time_limit())
     starts = [seed] if found is None else [seed, found]
     efforts: dict[Word, float] = {}
-    for wish in WISHES:
+    for wish in WISHES if thorough else QUICK_WISHES:
 
         def measure(word: Word, best: float, wish: tuple[bool, bool] = wish) -> float:
             if word not in efforts:
@@ -109,7 +113,8 @@ def search_words(
             return efforts[word]
 
         best = min(starts, key=lambda word: measure(word, math.inf))
-        _descend(scenario, best, bound, efforts, measure, time_limit)
+        if thorough or efforts[best] == math.inf:
+            _descend(scenario, best, bound, efforts, measure, time_limit, thorough)
         if min(efforts.values()) < math.inf:
             break
         efforts.clear()
@@ -124,16 +129,17 @@ def _descend(
     efforts: Mapping[Word, float],
     measure: Callable[[Word, float], float],
     time_limit: Callable[[], float],
+    thorough: bool,
 ) -> None:
     """Step from word to better word until there is none; without any that has a plan, through all neighbours."""
     improving = True
     while improving and efforts[best] > (1.0 + GAP) * bound:
         improving = False
         for word in _neighbours(scenario, best):
-            if len(efforts) >= EVALUATIONS or time_limit() <= 0.0:
+            if len(efforts) >= (EVALUATIONS if thorough else QUICK_EVALUATIONS) or time_limit() <= 0.0:
                 break
             if measure(word, efforts[best]) < (1.0 - GAP) * efforts[best]:
-                best, improving = word, True
+                best, improving = word, thorough
                 break
 
 

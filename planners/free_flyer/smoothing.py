@@ -10,10 +10,11 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
-from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
 from planners.bezier import Curve
 from planners.cones import solve_clarabel
 from planners.errors import Infeasible
+from planners.free_flyer.event_grid import find_halt
 from planners.free_flyer.events import EventSequence, make_object_curve
 from planners.free_flyer.quintic import DEGREE, Node, QuinticSpline, build_quintic_spline
 from planners.free_flyer.requirement import Requirement
@@ -26,7 +27,7 @@ JERK_WEIGHT = 1.0  # [s^2]
 GROWTH = 0.03  # how fast robot and object must part after, and may near before, their own impact [m/s]
 SLACK_WEIGHTS = 1e3, 1e5  # the second for what the first leaves violated
 AREA_TOLERANCE = 1e-6  # [m]
-ROUNDS = 8
+ROUNDS, QUICK_ROUNDS = 8, 3
 SHORTEST = 0.099  # segment between a breakpoint and the end of a window [s]
 
 
@@ -50,6 +51,7 @@ def smooth_motions(
     needs: Sequence[Requirement],
     rho: float,
     reserves: Reserves,
+    rounds: int = ROUNDS,
 ) -> dict[str, Curve]:
     r"""Return the robots' curves: int |a|^2 + w |j|^2 dt is least.
 
@@ -64,6 +66,7 @@ def smooth_motions(
         needs: requirements of the formula and of solid obstacles.
         rho: robustness to keep in them [m].
         reserves: clearances.
+        rounds: at most, with each of the weights.
 
     Returns:
         Robot name to its curve.
@@ -77,7 +80,7 @@ def smooth_motions(
     allowed = {"area": AREA_TOLERANCE, "clearance": 0.5 * reserves.clearance}
     good = False
     for weight in SLACK_WEIGHTS:
-        for _ in range(0 if good else ROUNDS):
+        for _ in range(0 if good else rounds):
             before = good
             points, worst = _solve_round(problem, points, weight)
             good = all(worst[kind] <= limit for kind, limit in allowed.items())
@@ -127,8 +130,9 @@ def _make_spline(
     scenario: FreeFlyerScenario, times: np.ndarray, impacts: Sequence[PlannedImpact], name: str
 ) -> QuinticSpline:
     robot, rest = scenario.robots[name], (np.zeros(2), np.zeros(2))
+    moving = np.array(robot.start_velocity)
     nodes = {
-        0: Node(np.array(robot.start), rest),
+        0: Node(np.array(robot.start), (moving, moving)),
         len(times) - 1: Node(None if robot.goal is None else np.array(robot.goal), rest),
     }
     for impact in impacts:
@@ -191,6 +195,14 @@ def _add_limits(rows: SplineRows, problem: _Problem, name: str) -> None:
             normals = np.zeros((part.matrix.shape[0], 2))
             normals[:, axis] = sign
             rows.add([(name, part, normals)], np.full(len(normals), limit))
+    if problem.reserves.thrust <= np.sqrt(0.5):
+        return
+    # The corners of the box would ask for more thrust than there is.
+    share = min(problem.reserves.thrust, 1.0)
+    diagonal = np.sqrt(0.5) * (share + np.sqrt(1.0 - share**2)) * robot.force_limit / robot.mass
+    for x, y in itertools.product((1.0, -1.0), repeat=2):
+        normals = np.full((spline.acceleration.matrix.shape[0], 2), np.sqrt(0.5)) * [x, y]
+        rows.add([(name, spline.acceleration, normals)], np.full(len(normals), diagonal))
 
 
 def _add_world(rows: SplineRows, problem: _Problem, name: str, points: np.ndarray) -> None:
@@ -203,7 +215,10 @@ def _add_world(rows: SplineRows, problem: _Problem, name: str, points: np.ndarra
         normals[..., axis] = sign
         edge = upper[axis] if sign > 0 else -lower[axis]
         ends = [robot.start[axis], robot.start[axis] if robot.goal is None else robot.goal[axis]]
+        if any(robot.start_velocity):
+            ends.append(find_halt(robot, problem.reserves)[axis])
         inset = min(robot.radius + problem.reserves.wall, edge - max(sign * end for end in ends))
+        inset = max(inset, min(robot.radius, edge - sign * robot.start[axis]))
         _add_halfspaces(rows, problem, name, normals, np.full(normals.shape[:2], edge - inset))
 
 
@@ -229,7 +244,7 @@ def _add_halfspaces(
 
 def _add_object_clearance(rows: SplineRows, problem: _Problem, name: str, struck: str, points: np.ndarray) -> None:
     """Keep the robot off an object, at contact distance only at its own impacts with it."""
-    scenario, sequence = problem.scenario, problem.sequence
+    scenario = problem.scenario
     own = [impact for impact in problem.impacts if (impact.robot, impact.object) == (name, struck)]
     touching = scenario.robots[name].radius + scenario.objects[struck].radius
     normals = _sides(problem.object_points[struck] - points)
@@ -237,7 +252,7 @@ def _add_object_clearance(rows: SplineRows, problem: _Problem, name: str, struck
         for segment in np.flatnonzero((problem.times[:-1] == impact.time) | (problem.times[1:] == impact.time)):
             normals[segment] = impact.normal
     anchors = [(impact.time, touching, _parting_speed(scenario, impact)) for impact in own]
-    anchors += _fixed_ends(problem, sequence.paths[struck], sequence.knots[name])
+    anchors += _fixed_ends(problem, struck, name)
     wanted = _distance_profile(problem, name, touching + problem.reserves.clearance, anchors)
     limits = np.sum(normals * problem.object_points[struck], axis=2) - wanted
     _add_halfspaces(rows, problem, name, normals, limits, "clearance")
@@ -246,9 +261,9 @@ def _add_object_clearance(rows: SplineRows, problem: _Problem, name: str, struck
 def _add_robot_clearance(
     rows: SplineRows, problem: _Problem, first: str, second: str, points: dict[str, np.ndarray]
 ) -> None:
-    robots, sequence = problem.scenario.robots, problem.sequence
+    robots = problem.scenario.robots
     wanted = robots[first].radius + robots[second].radius + problem.reserves.clearance
-    anchors = _fixed_ends(problem, sequence.knots[first], sequence.knots[second])
+    anchors = _fixed_ends(problem, first, second)
     normals = _sides(points[second] - points[first]).reshape(-1, 2)
     parts = [(name, problem.splines[name].position, sign * normals) for name, sign in ((first, 1), (second, -1))]
     rows.add(parts, -_distance_profile(problem, first, wanted, anchors).ravel(), "clearance")
@@ -268,10 +283,22 @@ def _parting_speed(scenario: FreeFlyerScenario, impact: PlannedImpact) -> float:
     return min(GROWTH, 0.5 * scenario.believed.restitution * approach)
 
 
-def _fixed_ends(problem: _Problem, one: np.ndarray, other: np.ndarray) -> list[tuple[float, float, float]]:
-    """Return the distances at the ends of the horizon as anchors, for they may be below what is wanted."""
-    ends = ((problem.times[0], 0), (problem.times[-1], -1))
-    return [(float(t), float(np.linalg.norm(one[k] - other[k])), GROWTH) for t, k in ends]
+def _fixed_ends(problem: _Problem, first: str, second: str) -> list[tuple[float, float, float]]:
+    """Return the distances at the ends of the horizon as anchors, for they may be below what is wanted.
+
+    Bodies that near each other at the start first have to brake, c^2 / (2 a) on the way.
+    """
+    places = problem.sequence.paths | problem.sequence.knots
+    one, other = (problem.scenario.body(name) for name in (first, second))
+    offset = np.subtract(one.start, other.start)
+    start, end = float(np.linalg.norm(offset)), float(np.linalg.norm(places[first][-1] - places[second][-1]))
+    if not any((*one.start_velocity, *other.start_velocity)):
+        return [(float(problem.times[0]), start, GROWTH), (float(problem.times[-1]), end, GROWTH)]
+    parting = float(np.subtract(one.start_velocity, other.start_velocity) @ offset) / start
+    strength = sum(problem.reserves.acceleration(body) for body in (one, other) if isinstance(body, Robot))
+    nearest = max(start - min(parting, 0.0) ** 2 / (2.0 * strength), min(start, one.radius + other.radius))
+    rate = float(np.clip(0.5 * parting, GROWTH / 3.0, GROWTH))
+    return [(float(problem.times[0]), nearest, rate), (float(problem.times[-1]), end, GROWTH)]
 
 
 def _distance_profile(
