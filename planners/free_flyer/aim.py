@@ -16,6 +16,7 @@ from planners.free_flyer.progress import (
     TIME,
     Progress,
 )
+from planners.free_flyer.reach import compute_arrival
 from planners.free_flyer.script import (
     DEPTH,
     END,
@@ -165,7 +166,8 @@ def hasten(script: Script, progress: Progress, k: int, o: int) -> None:
     x, y, _, _ = extrapolate(progress, k, script.robots + o, strike[TIME])
     way = math.hypot(progress.place[k, knot, 0] - x, progress.place[k, knot, 1] - y)
     sooner = strike[TIME] + max(math.sqrt(8.0 * bend / drift), way / CRUISE)
-    progress.clock[k, knot] = min(max(sooner, script.knot[knot, OPEN]), due)
+    sooner = max(sooner, script.knot[knot, OPEN], compute_arrival(script, progress, k, knot))
+    progress.clock[k, knot] = min(sooner, due)
 
 
 @compiled

@@ -15,8 +15,9 @@ from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, observed_or
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.rollout import Diagnostics
 from planners.free_flyer.aim import aim, find_next_knot
+from planners.free_flyer.background import Background
 from planners.free_flyer.estimator import extrapolate
-from planners.free_flyer.loop import CONTROL, OBSERVE, START, run_experts
+from planners.free_flyer.loop import ADOPT, CONTROL, OBSERVE, START, run_experts
 from planners.free_flyer.options import EXPERT, VARIANTS, Options
 from planners.free_flyer.progress import (
     COUNTERS,
@@ -38,7 +39,7 @@ from planners.plan import Plan
 
 ONE_HOT = 6
 # What is no fallback of the expert but its daily work.
-ROUTINE = ("replans", "retimed", "avoided")
+ROUTINE = ("replans", "retimed", "reoptimised", "avoided")
 
 
 def check_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:
@@ -115,7 +116,9 @@ class FreeFlyerExpert:
         robots, bodies = len(scenario.robots), len(scenario.bodies)
         self._joint = np.zeros((1, BODY_SIZE * bodies + robots + TAIL_SIZE - 1))
         self._actions, self._due = np.zeros((1, robots, 3)), np.full(1, END)
-        tables = self.script, self.progress, self.options, self.workspace, make_program()
+        self._planned = self.script
+        self._background = Background(self._scenario)
+        tables = self.progress, self.options, self.workspace, make_program()
         self._arrays = tuple(tuple(table) for table in tables)
         place = {name: i for i, name in enumerate(scenario.bodies)}
         self._order = [place[name] for name in observed_order(scenario, scenario.agents[0])]
@@ -130,6 +133,8 @@ class FreeFlyerExpert:
             seed: unused, the expert is deterministic.
         """
         self._seconds, self._solve_seconds = 0.0, list[float]()
+        self.script = self._planned
+        self._background.forget(0)
         self._run(START)
 
     def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -150,6 +155,11 @@ class FreeFlyerExpert:
         Args:
             observations: robot to its observation.
         """
+        if self.options.plan_anew:
+            script = self._background.look(self.script, self.progress, 0)
+            if script is not None:
+                self.script = script
+                self._run(ADOPT)
         begin = time.perf_counter()
         joint, agents = self._joint[0], self._scenario.agents
         bodies = BODY_SIZE * len(self._order)
@@ -242,4 +252,4 @@ class FreeFlyerExpert:
         return dict(zip(self._scenario.agents, self._actions[0].copy(), strict=True))
 
     def _run(self, phase: int) -> None:
-        cast(Any, run_experts)(*self._arrays, self._joint, self._actions, self._due, phase, 0, 0, 1)
+        cast(Any, run_experts)(tuple(self.script), *self._arrays, self._joint, self._actions, self._due, phase, 0, 0, 1)

@@ -11,12 +11,13 @@ from impact_envs.compiled import announce
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners.free_flyer.background import Background
 from planners.free_flyer.expert import check_plan, get_options
-from planners.free_flyer.loop import ACT, run_experts
+from planners.free_flyer.loop import ACT, ADOPT, run_experts
 from planners.free_flyer.options import Options
 from planners.free_flyer.progress import COUNTERS, make_progress
 from planners.free_flyer.reoptimisation import make_program
-from planners.free_flyer.script import END, make_script
+from planners.free_flyer.script import END, Script, make_script
 from planners.free_flyer.tracking import make_workspace
 from planners.plan import Plan
 
@@ -51,12 +52,15 @@ class FreeFlyerExpertBatch:
         announce(run_experts)
         self.count, self.robots = count, len(scenario.robots)
         self.size = BODY_SIZE * len(scenario.bodies) + self.robots + TAIL_SIZE - 1
-        script = make_script(scenario.as_believed(), plan)
-        self.progress = make_progress(script, count)
+        believed = scenario.as_believed()
+        self._script, self._own = make_script(believed, plan), dict[int, Script]()
+        self._background = Background(believed)
+        self.progress = make_progress(self._script, count)
         self._threads = min(threads, count)
         chosen = get_options(variant) if options is None else options
         workspace, program = make_workspace(self._threads), make_program(self._threads)
-        self._arrays = tuple(script), tuple(self.progress), tuple(chosen), tuple(workspace), tuple(program)
+        self._plan_anew = chosen.plan_anew
+        self._arrays = tuple(self.progress), tuple(chosen), tuple(workspace), tuple(program)
         self._due = np.full(count, END)
         self._pool: ThreadPoolExecutor | None = None
 
@@ -81,20 +85,39 @@ class FreeFlyerExpertBatch:
         if joint.shape != (self.count, self.size):
             raise InputError(f"observations have shape {joint.shape}; ({self.count}, {self.size}) is needed")
         actions = np.empty((self.count, self.robots, 3))
+        for k in np.flatnonzero(joint[:, self.size - 3] == 0.0) if self._own or self._background.pending else ():
+            self._own.pop(int(k), None)
+            self._background.forget(int(k))
+        if self._plan_anew:
+            for k in self._background.find_busy(self.progress).tolist():
+                script = self._background.look(self._own.get(k, self._script), self.progress, k)
+                if script is not None:
+                    self._own[k] = script
+                    self._run(script, joint, actions, ADOPT, 0, k, k + 1)
 
-        def run(thread: int) -> None:
+        def share(thread: int) -> None:
             first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
-            cast(Any, run_experts)(*self._arrays, joint, actions, self._due, ACT, thread, first, end)
+            for k in sorted(k for k in self._own if first <= k < end):
+                self._run(self._script, joint, actions, ACT, thread, first, k)
+                self._run(self._own[k], joint, actions, ACT, thread, k, k + 1)
+                first = k + 1
+            self._run(self._script, joint, actions, ACT, thread, first, end)
 
         if self._threads == 1:
-            run(0)
+            share(0)
         else:
             self._pool = self._pool or ThreadPoolExecutor(self._threads)
-            list(self._pool.map(run, range(self._threads)))
+            list(self._pool.map(share, range(self._threads)))
         return actions.reshape(self.count, -1)
 
+    def _run(
+        self, script: Script, joint: np.ndarray, actions: np.ndarray, phase: int, thread: int, first: int, end: int
+    ) -> None:
+        cast(Any, run_experts)(tuple(script), *self._arrays, joint, actions, self._due, phase, thread, first, end)
+
     def close(self) -> None:
-        """Let the threads go; the next act starts new ones."""
+        """Let the threads and the background's process go; the next act starts new ones."""
+        self._background.close()
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None

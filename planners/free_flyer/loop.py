@@ -6,14 +6,14 @@ import numpy as np
 
 from impact_envs.compiled import compiled
 from planners.free_flyer.options import Options
-from planners.free_flyer.pilot import control_world, observe_world, start_world
+from planners.free_flyer.pilot import adopt_world, control_world, observe_world, start_world
 from planners.free_flyer.progress import Progress
 from planners.free_flyer.reoptimisation import Program
 from planners.free_flyer.script import END, Script
 from planners.free_flyer.tracking import Workspace
 
 # What to do with the worlds.
-START, OBSERVE, CONTROL, ACT = range(4)
+START, OBSERVE, CONTROL, ACT, ADOPT = range(5)
 
 
 @compiled
@@ -38,7 +38,8 @@ def run_experts(
         joint: everything measured once, shape (N, 7 n + r + 3).
         actions: written by CONTROL and ACT, shape (N, r, 3).
         due: object whose coming impact's correction is due, or END, written by START and OBSERVE, shape (N,).
-        phase: START, OBSERVE, CONTROL, or ACT: observe and control, and start where time is 0.
+        phase: START, OBSERVE, CONTROL; ACT: observe and control, and start where time is 0; ADOPT: go on with a new
+            script.
         c: thread.
         first, end: range of worlds.
     """
@@ -49,6 +50,8 @@ def run_experts(
         if phase == START or (phase == ACT and joint[k, clock] == 0.0):
             start_world(script_, progress_, options_, k)
             due[k] = END
+        if phase == ADOPT:
+            adopt_world(script_, progress_, k)
         if phase in (OBSERVE, ACT):
             due[k] = observe_world(script_, progress_, options_, program_, c, k, joint)
         if phase in (CONTROL, ACT):

@@ -15,6 +15,7 @@ class Options(NamedTuple):
         drift: a constant unknown acceleration of every object in its filter.
         insert: hit once more where the object would miss its next knot or leave its goal, and catch gently.
         reoptimise: choose times and places of the impacts that are left anew after each one.
+        plan_anew: plan the rest in the background, with who hits what open, where that fails.
         avoid: keep off bodies that are not to be hit.
         mpc: track by MPC; otherwise by LQR.
     """
@@ -25,17 +26,20 @@ class Options(NamedTuple):
     drift: bool = True
     insert: bool = True
     reoptimise: bool = True
+    plan_anew: bool = True
     avoid: bool = True
     mpc: bool = True
 
 
 EXPERT = Options()
+# Each is the one before and one part more; the last part makes the expert.
+_PAPER = Options(learn=False, retime=False, drift=False, insert=False, reoptimise=False, plan_anew=False, avoid=False)
 VARIANTS = {
-    "one_replan": Options(
-        once=True, learn=False, retime=False, drift=False, insert=False, reoptimise=False, avoid=False
-    ),
-    "paper_expert": Options(learn=False, retime=False, drift=False, insert=False, reoptimise=False, avoid=False),
-    "with_learning": Options(retime=False, drift=False, insert=False, reoptimise=False, avoid=False),
-    "with_retiming": Options(drift=False, insert=False, reoptimise=False, avoid=False),
-    "with_drift": Options(insert=False, reoptimise=False, avoid=False),
+    "one_replan": _PAPER._replace(once=True),
+    "paper_expert": _PAPER,
+    "with_learning": _PAPER._replace(learn=True),
+    "with_retiming": _PAPER._replace(learn=True, retime=True),
+    "with_drift": _PAPER._replace(learn=True, retime=True, drift=True),
+    "with_insertion": EXPERT._replace(reoptimise=False, plan_anew=False),
+    "with_reoptimisation": EXPERT._replace(plan_anew=False),
 }

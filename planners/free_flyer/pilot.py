@@ -17,6 +17,7 @@ from planners.free_flyer.progress import (
     INSERTED,
     LAST,
     NOBODY,
+    PAST_PERIOD,
     REPLANNED,
     TIME,
     Progress,
@@ -36,6 +37,8 @@ from planners.free_flyer.strike import (
     REPLAN_PERIOD,
     SETTLE,
     find_due,
+    forget_hits,
+    go_back,
     learn_from_hits,
     remember_before,
     set_clocks,
@@ -53,7 +56,9 @@ def start_world(script: Script, progress: Progress, options: Options, k: int) ->
     """Forget the last episode of world k."""
     progress.time[k] = 0.0
     open_filters(script, progress, options, k)
-    start_strikes(script, progress, k)
+    forget_hits(progress, k)
+    start_strikes(script, progress, k, 0.0)
+    progress.wanted[k] = math.inf
     for i in range(progress.counts.shape[1]):
         progress.counts[k, i] = 0
     for r in range(script.robots):
@@ -62,6 +67,15 @@ def start_world(script: Script, progress: Progress, options: Options, k: int) ->
         for i in range(progress.course.shape[2]):
             progress.course[k, r, i] = 0.0
     set_clocks(script, progress, k, 0.0)
+
+
+@compiled
+def adopt_world(script: Script, progress: Progress, k: int) -> None:
+    """Let world k follow a new script from now on; what was learned of its objects stays."""
+    now = progress.time[k]
+    start_strikes(script, progress, k, now)
+    for r in range(script.robots):
+        go_back(script, progress, k, r, now, now)
 
 
 @compiled
@@ -93,7 +107,17 @@ def observe_world(
     take_misses(script, progress, options, k, now)
     learn_from_hits(script, progress, options, k, now)
     look_ahead(script, progress, options, program, c, k, now)
+    remember_positions(progress, k, now)
     return find_due(script, progress, k, now)
+
+
+@compiled
+def remember_positions(progress: Progress, k: int, now: float) -> None:
+    """Keep where the bodies of world k are seen, every half second."""
+    at = int(now / PAST_PERIOD + ROUND_OFF)
+    if at < progress.past.shape[1] and now - at * PAST_PERIOD < ROUND_OFF:
+        for i in range(progress.past.shape[2]):
+            progress.past[k, at, i, 0], progress.past[k, at, i, 1] = progress.filter[k, i, 0], progress.filter[k, i, 1]
 
 
 @compiled

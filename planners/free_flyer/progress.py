@@ -87,6 +87,9 @@ COUNTERS = (
     "off_centre",
     "reoptimised",
     "no_optimum",
+    "stranded",
+    "planned_anew",
+    "no_plan",
 )
 (
     REPLANS,
@@ -103,7 +106,12 @@ COUNTERS = (
     OFF_CENTRE,
     REOPTIMISED,
     NO_OPTIMUM,
+    STRANDED,
+    PLANNED_ANEW,
+    NO_PLAN,
 ) = range(len(COUNTERS))
+SPARE = 6  # impacts that a new plan may have beyond those of the first one
+PAST_PERIOD = 0.5  # [s]
 NOBODY, UNKNOWN = -2, -1  # in Progress.touch
 
 
@@ -121,10 +129,12 @@ class Progress(NamedTuple):
         course: of the robots, shape (N, r, 19).
         strike: coming impact of each object, shape (N, m, 28).
         hit: last impact of each object, shape (N, m, 14).
-        clock: expected times of the planned impacts, shape (N, K) [s].
-        place: wanted positions of the knots, shape (N, K + m, 2) [m].
+        clock: expected times of the planned impacts, shape (N, K + 6) [s].
+        place: wanted positions of the knots, shape (N, K + 6 + m, 2) [m].
         shifted: inputs left of the last successful MPC, and how many, shape (N, r, 31).
-        counts: of what happened, see COUNTERS, shape (N, 14).
+        past: estimated positions every half second, shape (N, H, n, 2) [m].
+        wanted: when a new plan was first found to be needed, inf if it is not, shape (N,) [s].
+        counts: of what happened, see COUNTERS, shape (N, 17).
     """
 
     time: np.ndarray
@@ -140,6 +150,8 @@ class Progress(NamedTuple):
     clock: np.ndarray
     place: np.ndarray
     shifted: np.ndarray
+    past: np.ndarray
+    wanted: np.ndarray
     counts: np.ndarray
 
 
@@ -150,7 +162,7 @@ def make_progress(script: Script, count: int) -> Progress:
         script: what they follow.
         count: N.
     """
-    n, r, planned = len(script.body), script.robots, len(script.impact)
+    n, r, planned = len(script.body), script.robots, len(script.impact) + SPARE
     return Progress(
         time=np.zeros(count),
         filter=np.zeros((count, n, FILTER_SIZE)),
@@ -163,8 +175,10 @@ def make_progress(script: Script, count: int) -> Progress:
         strike=np.zeros((count, n - r, STRIKE_SIZE)),
         hit=np.zeros((count, n - r, HIT_SIZE)),
         clock=np.zeros((count, planned)),
-        place=np.zeros((count, len(script.knot), 2)),
+        place=np.zeros((count, planned + n - r, 2)),
         shifted=np.zeros((count, r, 3 * STAGES + 1)),
+        past=np.zeros((count, math.ceil(script.horizon / PAST_PERIOD) + 1, n, 2)),
+        wanted=np.full(count, math.inf),
         counts=np.zeros((count, len(COUNTERS)), np.int64),
     )
 

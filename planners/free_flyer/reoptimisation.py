@@ -24,6 +24,7 @@ from planners.free_flyer.progress import (
     Progress,
 )
 from planners.free_flyer.projection import FOUND, project
+from planners.free_flyer.reach import compute_time
 from planners.free_flyer.script import (
     AT,
     CLOSE,
@@ -41,7 +42,6 @@ from planners.free_flyer.script import (
     SPEED,
     Script,
 )
-from planners.free_flyer.tracking import GAIN, INPUT_LIMIT
 
 MOST_KNOTS = 8  # impacts of an object that are optimised at once; further ones stay where they are
 SIZE = 3 * MOST_KNOTS + 1  # of the variables
@@ -53,8 +53,6 @@ NOTICE = 4.0  # from now to the next impact [s]
 GAP = 4.0  # between impacts of one object [s]
 SHARE = 0.6  # of an object's greatest speed that legs may need
 WIDEST = math.tan(math.pi / 3)  # of the cone round the planned normal that legs before and after an impact fill
-EASE = 0.9  # of the thrust
-QUINTIC = 5.7735  # greatest acceleration of a rest-to-rest quintic over d / T^2
 SHORTEST_WAY = 0.05  # of a robot, for the linearisation of its time [m]
 SHORTEST_LEG = 0.05  # of an object, that has a direction [m]
 INSET = 0.25  # from both ends of a window [s]
@@ -383,9 +381,3 @@ def _find_contact(script: Script, r: int, o: int, knot: int, x: float, y: float)
     """Return the centre of robot r when it hits object o at (x, y) as planned."""
     reach = script.body[r, RADIUS] + script.body[script.robots + o, RADIUS]
     return x - reach * script.impact[knot, NORMAL_X], y - reach * script.impact[knot, NORMAL_Y]
-
-
-@compiled
-def compute_time(script: Script, r: int, d: float) -> float:
-    """Return the time that robot r needs for a way from rest to rest by a quintic [s]: sqrt(5.77 d / a)."""
-    return math.sqrt(QUINTIC * d / (EASE * script.pilot[r, GAIN] * script.pilot[r, INPUT_LIMIT]))

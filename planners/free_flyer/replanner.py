@@ -37,7 +37,7 @@ from planners.free_flyer.progress import (
     TURN,
     Progress,
 )
-from planners.free_flyer.retiming import is_reachable
+from planners.free_flyer.reach import is_reachable
 from planners.free_flyer.script import (
     AT,
     MASS,

@@ -39,11 +39,13 @@ from planners.free_flyer.progress import (
     RETIMED,
     SCALE,
     SOLVED,
+    STRANDED,
     TIME,
     TURN,
     Progress,
     find_next_event,
 )
+from planners.free_flyer.reach import compute_arrival, compute_time, find_contact, is_reachable
 from planners.free_flyer.reoptimisation import Program, reoptimise
 from planners.free_flyer.script import (
     CLOSE,
@@ -51,15 +53,13 @@ from planners.free_flyer.script import (
     END,
     MASS,
     NEXT,
-    NORMAL_X,
-    NORMAL_Y,
     OPEN,
     RADIUS,
+    ROBOT,
     SPEED,
     Script,
 )
 from planners.free_flyer.strike import REPLAN_PERIOD, SETTLE, set_clocks, set_time
-from planners.free_flyer.tracking import GAIN, INPUT_LIMIT
 from planners.free_flyer.two_body import compute_velocity_gain
 
 FROZEN = 4.0  # before an impact its time is kept [s]
@@ -83,7 +83,6 @@ LEAST_CHANGE = 4e-3  # of the object's velocity that is worth an impact [m/s]
 SIDE = 0.6  # cosine between the way from robot to object and the change of velocity, at least
 EDGE = 0.2  # or if its robot would come so near to the edge of areas it may not leave [m]
 WALL = 0.1  # kept by the robot from the edge of areas it may not leave [m]
-EASE = 0.75  # of the thrust
 
 
 @compiled
@@ -104,6 +103,7 @@ def look_ahead(
                 set_clocks(script, progress, k, now)
             else:
                 progress.counts[k, NO_OPTIMUM] += 1
+                progress.wanted[k] = min(progress.wanted[k], now)
         if options.retime and strike[LAST] > 0.0 and strike[IMPACT_INDEX] != END and now <= strike[TIME] - FROZEN:
             retime(script, progress, k, o, now)
         if options.insert and strike[EXTRA] < MOST_INSERTED and strike[LAST] > 0.0:
@@ -132,16 +132,19 @@ def retime(script: Script, progress: Progress, k: int, o: int, now: float) -> No
     index, old = int(strike[IMPACT_INDEX]), strike[TIME]
     latest = min(script.knot[index, CLOSE], max(compute_reserve(script, progress, k, index), old))
     notice = FROZEN
-    r, body = int(strike[AGENT]), script.robots + o
-    reach = script.body[r, RADIUS] + script.body[body, RADIUS]
-    place_x = progress.place[k, index, 0] - reach * script.impact[index, NORMAL_X]
-    place_y = progress.place[k, index, 1] - reach * script.impact[index, NORMAL_Y]
+    r = int(strike[AGENT])
+    place_x, place_y = find_contact(script, progress, k, index)
     while now + notice < old and not is_reachable(script, progress, k, r, place_x, place_y, 0.0, 0.0, notice):
         notice += 1.0
     earliest = min(max(now + notice, script.knot[index, OPEN]), old)
+    best, time = compute_miss(script, progress, k, o, old, old), old
+    arrival = compute_arrival(script, progress, k, index)
+    if arrival > old:
+        # Its robot has to hit something else before: the impact comes when it can.
+        earliest, latest, best = arrival, max(latest, arrival + FROZEN), math.inf
+    earliest = max(earliest, arrival)
     if latest <= earliest:
         return
-    best, time = compute_miss(script, progress, k, o, old, old), old
     step = (latest - earliest) / (CANDIDATES - 1)
     for i in range(CANDIDATES):
         t = earliest + i * step
@@ -158,25 +161,6 @@ def retime(script: Script, progress: Progress, k: int, o: int, now: float) -> No
         progress.counts[k, RETIMED] += 1
         set_time(script, progress, k, o, index, time)
         set_clocks(script, progress, k, now)
-
-
-@compiled
-def is_reachable(
-    script: Script, progress: Progress, k: int, r: int, x: float, y: float, vx: float, vy: float, span: float
-) -> bool:
-    r"""Return whether robot r can be at a position with a velocity after a time by a quintic, within its thrust.
-
-    a(tau) = d (60 tau - 180 tau^2 + 120 tau^3) / T^2 + 6 (v - v_0) tau (1 - tau) / T, d = x - x_0 - T (v + v_0) / 2
-    """
-    z, pilot = progress.filter[k, r], script.pilot[r]
-    dx, dy = x - z[0] - span / 2 * (vx + z[2]), y - z[1] - span / 2 * (vy + z[3])
-    most = 0.0
-    for i in range(1, 8):
-        tau = i / 8.0
-        way = (60.0 * tau - 180.0 * tau * tau + 120.0 * tau * tau * tau) / (span * span)
-        turn = 6.0 * tau * (1.0 - tau) / span
-        most = max(most, math.hypot(way * dx + turn * (vx - z[2]), way * dy + turn * (vy - z[3])))
-    return most <= EASE * pilot[GAIN] * pilot[INPUT_LIMIT]
 
 
 @compiled
@@ -213,6 +197,8 @@ def insert(script: Script, progress: Progress, options: Options, k: int, o: int,
             duration = haste * compute_leg(script, progress, k, o, knot, over, now + lead)
             if now + lead + duration > script.horizon - (0.0 if over else RESERVE) or duration < LEAST_LEG:
                 continue
+            if not over and not is_served(script, progress, k, index, now, now + lead + duration):
+                continue
             agent = choose_agent(script, progress, k, o, knot, over, now, now + lead, duration)
             if agent == END:
                 continue
@@ -225,6 +211,18 @@ def insert(script: Script, progress: Progress, options: Options, k: int, o: int,
             progress.counts[k, INSERTS] += 1
             set_clocks(script, progress, k, now)
             return
+    if compute_margin(script, knot, x, y) + spread < 0.0 and progress.wanted[k] == math.inf:
+        progress.counts[k, STRANDED] += 1
+        progress.wanted[k] = now
+
+
+@compiled
+def is_served(script: Script, progress: Progress, k: int, index: int, now: float, time: float) -> bool:
+    """Return whether the robot of a planned impact can be there at a time."""
+    r = int(script.impact[index, ROBOT])
+    x, y = find_contact(script, progress, k, index)
+    free = time >= compute_arrival(script, progress, k, index)
+    return free and is_reachable(script, progress, k, r, x, y, 0.0, 0.0, time - now)
 
 
 @compiled
@@ -260,14 +258,17 @@ def choose_agent(
         return END
     nx, ny = dx / change, dy / change
     for r in range(script.robots):
-        event, _, _ = find_next_event(script, progress, k, r)
+        event, _, index = find_next_event(script, progress, k, r)
         mine = progress.strike[k, o, AGENT] == r
         if progress.course[k, r, IMPACT] > 0.0 and not mine:
             continue
-        if event < time + REST and event < script.horizon and not mine:
-            continue
         reach = script.body[r, RADIUS] + script.body[body, RADIUS]
         px, py = x - reach * nx, y - reach * ny
+        if index != END and not mine:
+            # The robot has to be at its own next impact in time.
+            cx, cy = find_contact(script, progress, k, index)
+            if event < time + max(REST, compute_time(script, r, math.hypot(cx - px, cy - py))):
+                continue
         a = progress.filter[k, r]
         distance = math.hypot(x - a[0], y - a[1])
         cosine = ((x - a[0]) * nx + (y - a[1]) * ny) / max(distance, ROUND_OFF)

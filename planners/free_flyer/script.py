@@ -60,12 +60,13 @@ class Script(NamedTuple):
     pilot: np.ndarray
 
 
-def make_script(scenario: FreeFlyerScenario, plan: Plan) -> Script:
+def make_script(scenario: FreeFlyerScenario, plan: Plan, begin: float = 0.0) -> Script:
     """Make the tables of a plan.
 
     Args:
         scenario: as believed.
         plan: to execute.
+        begin: when the scenario and the plan begin [s].
     """
     names = scenario.bodies
     bodies = [scenario.body(name) for name in names]
@@ -81,11 +82,17 @@ def make_script(scenario: FreeFlyerScenario, plan: Plan) -> Script:
         for j, row in enumerate(knot.faces):
             face[i, j] = row / np.hypot(*row[:2])
         margins = [row[2] - row[:2] @ knot.position for row in face[i, : len(knot.faces)]]
-        table[i] = *knot.position, *knot.window, min(margins, default=np.inf), len(knot.faces)
+        table[i] = (
+            *knot.position,
+            *(begin + time for time in knot.window),
+            min(margins, default=np.inf),
+            len(knot.faces),
+        )
+    impact[:, AT] += begin
     breaks, coefficients = _make_curves(scenario, plan)
     return Script(
         float(scenario.control_period),
-        float(plan.horizon),
+        begin + float(plan.horizon),
         float(scenario.believed.restitution),
         len(scenario.robots),
         np.array(rows, dtype=float),
@@ -94,7 +101,7 @@ def make_script(scenario: FreeFlyerScenario, plan: Plan) -> Script:
         table,
         face,
         _make_own_faces(scenario),
-        breaks,
+        begin + breaks,
         coefficients,
         _make_sides(scenario),
         np.array([build_tracking_problem(robot, scenario.control_period).row for robot in scenario.robots.values()]),

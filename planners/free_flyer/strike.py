@@ -83,8 +83,25 @@ FASTEST_CLOCK = 1.5  # plan seconds per second; more would force the end pose wi
 
 
 @compiled
-def start_strikes(script: Script, progress: Progress, k: int) -> None:
-    """Start world k with the first impact of every object."""
+def forget_hits(progress: Progress, k: int) -> None:
+    """Forget what world k's impacts taught."""
+    for o in range(progress.hit.shape[1]):
+        for column in range(progress.hit.shape[2]):
+            progress.hit[k, o, column] = 0.0
+        progress.hit[k, o, FACTOR] = progress.hit[k, o, KNOWN_FACTOR] = 1.0
+        progress.hit[k, o, SPREAD] = progress.hit[k, o, KNOWN_SPREAD] = PRIOR_SPREAD * PRIOR_SPREAD
+
+
+@compiled
+def start_strikes(script: Script, progress: Progress, k: int, now: float) -> None:
+    """Start world k with the first impact of every object.
+
+    Args:
+        script: what is followed.
+        progress: of all worlds.
+        k: world.
+        now: when the script begins; after 0 the objects are in flight [s].
+    """
     for o in range(len(script.first)):
         at, before = int(script.first[o]), END
         while at != END:
@@ -104,12 +121,9 @@ def start_strikes(script: Script, progress: Progress, k: int) -> None:
     for o in range(len(script.first)):
         for column in range(progress.strike.shape[2]):
             progress.strike[k, o, column] = 0.0
-        for column in range(progress.hit.shape[2]):
-            progress.hit[k, o, column] = 0.0
-        progress.strike[k, o, LAST] = progress.strike[k, o, LOOKED] = progress.strike[k, o, OPTIMISED] = -math.inf
-        progress.hit[k, o, FACTOR] = progress.hit[k, o, KNOWN_FACTOR] = 1.0
-        progress.hit[k, o, SPREAD] = progress.hit[k, o, KNOWN_SPREAD] = PRIOR_SPREAD * PRIOR_SPREAD
-        await_impact(script, progress, k, o, int(script.first[o]), 0.0)
+        calm = now - SETTLE if now > 0.0 else -math.inf
+        progress.strike[k, o, LAST] = progress.strike[k, o, LOOKED] = progress.strike[k, o, OPTIMISED] = calm
+        await_impact(script, progress, k, o, int(script.first[o]), now)
 
 
 @compiled

@@ -1,0 +1,235 @@
+"""New plans in the background, for worlds whose plan has no future: a process solves, the loop goes on.
+
+A plan is asked for from the state that is expected DELAY later, and taken over then, in simulated time: what an episode
+does never depends on how fast the machine is. Where simulated time runs faster than the solver, the loop waits.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from dataclasses import dataclass
+from typing import TextIO, cast
+
+import numpy as np
+
+from impact_envs.errors import InputError
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners.errors import PlanningError
+from planners.free_flyer.course import evaluate_course
+from planners.free_flyer.estimator import extrapolate
+from planners.free_flyer.progress import (
+    IMPACT_INDEX,
+    INSERTED,
+    LAST,
+    NO_PLAN,
+    PAST_PERIOD,
+    PLANNED_ANEW,
+    TIME,
+    Progress,
+)
+from planners.free_flyer.remaining import make_remaining_scenario, plan_rest
+from planners.free_flyer.script import END, NEXT, Script, make_script
+from planners.free_flyer.strike import SETTLE
+from planners.plan import Plan
+
+DELAY = 2.0  # from asking for a plan to taking it over [s]
+MOST_PLANS = 3  # asked for in an episode
+APART = 8.0  # from the answer to the next question [s]
+LEAST_LEFT = 15.0  # of the horizon [s]
+CALM = 1.0  # before the next impact, when a plan is taken over [s]
+TIME_LIMIT = 20.0  # of the solver, should it ever hang [s]; the plans that are used take about a tenth of that
+
+
+@dataclass(frozen=True)
+class Request:
+    """Hold what a world waits for.
+
+    Attributes:
+        number: of the request.
+        begin: when the plan is taken over [s].
+        scenario: what is left of the task then, in time that starts then.
+    """
+
+    number: int
+    begin: float
+    scenario: FreeFlyerScenario
+
+
+class Background:
+    """Ask for new plans and hand them over, world by world.
+
+    Args:
+        scenario: the whole task, as believed.
+    """
+
+    def __init__(self, scenario: FreeFlyerScenario) -> None:
+        self._scenario = scenario
+        self._pending: dict[int, Request] = {}
+        self._asked: dict[int, int] = {}
+        self._held: dict[int, float] = {}
+        self._answers: dict[int, str | None] = {}
+        self._numbers = 0
+        self._worker: subprocess.Popen[str] | None = None
+
+    def forget(self, k: int) -> None:
+        """Forget what world k has asked for."""
+        self._pending.pop(k, None)
+        self._asked.pop(k, None)
+        self._held.pop(k, None)
+
+    def look(self, script: Script, progress: Progress, k: int) -> Script | None:
+        """Return a new script for world k to follow from now on, if there is one; ask for one if it is wanted.
+
+        Args:
+            script: what world k follows.
+            progress: of all worlds.
+            k: world.
+        """
+        now, request = float(progress.time[k]), self._pending.get(k)
+        if request is not None:
+            if now < request.begin - 1e-6:
+                return None
+            del self._pending[k]
+            if self._asked[k] < MOST_PLANS:
+                self._held[k] = now + APART
+            return self._take(progress, k, request)
+        if now >= self._held.get(k, math.inf):
+            del self._held[k]
+            progress.wanted[k] = math.inf
+        elif 0.0 <= progress.wanted[k] <= now and _is_calm(progress, k, now):
+            # Nothing is wanted until the answer has had its time.
+            progress.wanted[k] = -math.inf
+            if script.horizon - now >= LEAST_LEFT:
+                self._ask(script, progress, k, now)
+        return None
+
+    @property
+    def pending(self) -> bool:
+        """Return whether any world has asked for a plan."""
+        return bool(self._asked)
+
+    def find_busy(self, progress: Progress) -> np.ndarray:
+        """Return the worlds that `look` may do something for."""
+        busy = (progress.wanted >= 0.0) & (progress.wanted <= progress.time)
+        busy[[*self._pending, *self._held]] = True
+        return np.flatnonzero(busy)
+
+    def close(self) -> None:
+        """End the process."""
+        if self._worker is not None:
+            self._worker.kill()
+            self._worker.wait()
+            self._worker = None
+
+    __del__ = close
+
+    def _ask(self, script: Script, progress: Progress, k: int, now: float) -> None:
+        self._asked[k] = self._asked.get(k, 0) + 1
+        begin = round(round((now + DELAY) / script.period) * script.period, 9)
+        try:
+            rest = self._make_rest(script, progress, k, now, begin)
+        except InputError:
+            progress.counts[k, NO_PLAN] += 1
+            self._held[k] = now + APART
+            return
+        self._numbers += 1
+        self._pending[k] = Request(self._numbers, begin, rest)
+        data = {
+            "number": self._numbers,
+            "scenario": rest.model_dump(mode="json"),
+            "impacts": _count_impacts(script, progress, k),
+        }
+        stdin, _ = self._reach_worker()
+        try:
+            stdin.write(json.dumps(data) + "\n")
+            stdin.flush()
+        except OSError:  # no worker any more; its answer will be missed
+            self.close()
+
+    def _make_rest(self, script: Script, progress: Progress, k: int, now: float, begin: float) -> FreeFlyerScenario:
+        """Make the scenario that will be left: objects fly on, robots follow their courses."""
+        positions, velocities = {}, {}
+        for i, name in enumerate(self._scenario.bodies):
+            if i < script.robots:
+                motion = evaluate_course(progress.course, script.breaks, script.coefficients, k, i, begin)[:4]
+            else:
+                motion = extrapolate(progress, k, i, begin)
+            positions[name], velocities[name] = np.array(motion[:2]), np.array(motion[2:])
+        seen = int(now / PAST_PERIOD + 1e-6) + 1
+        times = np.append(PAST_PERIOD * np.arange(seen), begin)
+        tracks = {
+            name: np.vstack([progress.past[k, :seen, i], positions[name]])
+            for i, name in enumerate(self._scenario.bodies)
+        }
+        return make_remaining_scenario(self._scenario, begin, positions, velocities, (times, tracks))
+
+    def _take(self, progress: Progress, k: int, request: Request) -> Script | None:
+        answer = self._await(request.number)
+        if answer is None:
+            progress.counts[k, NO_PLAN] += 1
+            return None
+        script = make_script(request.scenario, Plan.from_json(answer), request.begin)
+        if len(script.impact) > progress.clock.shape[1]:
+            progress.counts[k, NO_PLAN] += 1
+            return None
+        progress.counts[k, PLANNED_ANEW] += 1
+        return script
+
+    def _await(self, number: int) -> str | None:
+        """Return the plan that answers a request, None if there is none."""
+        while number not in self._answers:
+            line = self._worker.stdout.readline() if self._worker and self._worker.stdout else ""
+            if not line:
+                self.close()
+                return None
+            answer = json.loads(line)
+            self._answers[answer["number"]] = answer["plan"]
+        return self._answers.pop(number)
+
+    def _reach_worker(self) -> tuple[TextIO, TextIO]:
+        if self._worker is None or self._worker.poll() is not None:
+            self._worker = subprocess.Popen(
+                [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            )
+        return cast(TextIO, self._worker.stdin), cast(TextIO, self._worker.stdout)
+
+
+def _is_calm(progress: Progress, k: int, now: float) -> bool:
+    """Return whether no impact is near, before or after a new plan is taken over."""
+    strike = progress.strike[k]
+    coming = strike[(strike[:, IMPACT_INDEX] != END) | (strike[:, INSERTED] > 0.0)]
+    return bool((coming[:, TIME] > now + DELAY + CALM).all() and (now >= strike[:, LAST] + SETTLE).all())
+
+
+def _count_impacts(script: Script, progress: Progress, k: int) -> int:
+    left = 0
+    for o in range(len(script.first)):
+        at = int(progress.strike[k, o, IMPACT_INDEX])
+        while at != END:
+            at, left = int(script.impact[at, NEXT]), left + 1
+    return left
+
+
+def answer_requests(requests: TextIO, answers: TextIO) -> None:
+    """Plan what is asked for, line by line, until there is no more.
+
+    Args:
+        requests: lines {"number", "scenario", "impacts"} of JSON.
+        answers: lines {"number", "plan"}, plan as JSON text or null.
+    """
+    for line in requests:
+        request = json.loads(line)
+        try:
+            scenario = FreeFlyerScenario.model_validate(request["scenario"])
+            plan = plan_rest(scenario, request["impacts"], TIME_LIMIT).to_json()
+        except (PlanningError, InputError):
+            plan = None
+        answers.write(json.dumps({"number": request["number"], "plan": plan}) + "\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    answer_requests(sys.stdin, sys.stdout)
