@@ -22,11 +22,13 @@ class Diagnostics:
         solve_seconds: computing time of each control step [s].
         fallbacks: name of a fallback to how often it was used.
         replans: how often a plan was changed on the way.
+        reoptimised: how often what is left of the task was optimised anew, name of the method to count.
     """
 
     solve_seconds: list[float] = field(default_factory=list)
     fallbacks: Counter[str] = field(default_factory=Counter)
     replans: int = 0
+    reoptimised: Counter[str] = field(default_factory=Counter)
 
 
 class Policy(Protocol):
@@ -106,6 +108,7 @@ class Episode:
         fallbacks: the policy's fallbacks, name to count.
         replans: how often the policy changed its plan.
         wall_seconds: duration of the rollout [s].
+        reoptimised: how often the policy optimised what is left of the task anew, method to count.
     """
 
     scenario: str
@@ -125,6 +128,7 @@ class Episode:
     fallbacks: Mapping[str, int]
     replans: int
     wall_seconds: float
+    reoptimised: Mapping[str, int] = field(default_factory=dict)
 
 
 def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode:
@@ -178,6 +182,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         fallbacks=dict(diagnostics.fallbacks),
         replans=diagnostics.replans,
         wall_seconds=time.perf_counter() - start,
+        reoptimised=dict(diagnostics.reoptimised),
     )
 
 

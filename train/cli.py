@@ -420,6 +420,7 @@ def _episode_summary(episode: Any, suite: str) -> dict[str, Any]:
         "solve_ms": quantiles,
         "fallbacks": dict(episode.fallbacks),
         "replans": episode.replans,
+        "reoptimised": dict(episode.reoptimised),
         "wall_seconds": episode.wall_seconds,
     }
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -40,7 +41,7 @@ MOST_PLANS = 3  # asked for in an episode
 APART = 8.0  # from the answer to the next question [s]
 LEAST_LEFT = 15.0  # of the horizon [s]
 CALM = 1.0  # before the next impact, when a plan is taken over [s]
-TIME_LIMIT = 20.0  # of the solver, should it ever hang [s]; the plans that are used take about a tenth of that
+TIME_LIMIT = 30.0  # of the solver, should it ever hang [s]; the plans that are used take about a tenth of that
 
 
 @dataclass(frozen=True)
@@ -71,8 +72,9 @@ class Background:
         self._asked: dict[int, int] = {}
         self._held: dict[int, float] = {}
         self._answers: dict[int, str | None] = {}
-        self._numbers = 0
+        self._numbers = self._read = 0
         self._worker: subprocess.Popen[str] | None = None
+        self._owner = os.getpid()
 
     def forget(self, k: int) -> None:
         """Forget what world k has asked for."""
@@ -119,9 +121,9 @@ class Background:
 
     def close(self) -> None:
         """End the process."""
-        if self._worker is not None:
+        if self._worker is not None and self._owner == os.getpid():
             self._worker.kill()
-            self._worker.wait()
+            self._worker.communicate()
             self._worker = None
 
     __del__ = close
@@ -180,16 +182,20 @@ class Background:
 
     def _await(self, number: int) -> str | None:
         """Return the plan that answers a request, None if there is none."""
-        while number not in self._answers:
+        while self._read < number:  # answers come in the order of the questions
             line = self._worker.stdout.readline() if self._worker and self._worker.stdout else ""
             if not line:
                 self.close()
-                return None
+                break
             answer = json.loads(line)
-            self._answers[answer["number"]] = answer["plan"]
-        return self._answers.pop(number)
+            self._read = answer["number"]
+            if self._read in {number, *(request.number for request in self._pending.values())}:
+                self._answers[self._read] = answer["plan"]
+        return self._answers.pop(number, None)
 
     def _reach_worker(self) -> tuple[TextIO, TextIO]:
+        if self._owner != os.getpid():  # forked: the worker belongs to the parent
+            self._worker, self._owner = None, os.getpid()
         if self._worker is None or self._worker.poll() is not None:
             self._worker = subprocess.Popen(
                 [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True

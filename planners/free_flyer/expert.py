@@ -39,7 +39,7 @@ from planners.plan import Plan
 
 ONE_HOT = 6
 # What is no fallback of the expert but its daily work.
-ROUTINE = ("replans", "retimed", "reoptimised", "avoided")
+ROUTINE = ("replans", "retimed", "reoptimised", "planned_anew", "avoided")
 
 
 def check_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:
@@ -146,6 +146,7 @@ class FreeFlyerExpert:
         """Return computing times, fallbacks and replans since reset."""
         counts = dict(zip(COUNTERS, self.progress.counts[0].tolist(), strict=True))
         found = Diagnostics(list(self._solve_seconds), replans=counts["replans"])
+        found.reoptimised.update({"same_sequence": counts["reoptimised"], "free_sequence": counts["planned_anew"]})
         found.fallbacks.update({name: n for name, n in counts.items() if n and name not in ROUTINE})
         return found
 

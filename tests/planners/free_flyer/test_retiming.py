@@ -26,8 +26,8 @@ from planners.free_flyer.progress import (
     TIME,
     make_progress,
 )
+from planners.free_flyer.reach import EASE, is_reachable
 from planners.free_flyer.retiming import (
-    EASE,
     FROZEN,
     LEADS,
     LEAST_LEG,
@@ -35,7 +35,6 @@ from planners.free_flyer.retiming import (
     RESERVE_SHARE,
     SIDE,
     compute_reserve,
-    is_reachable,
     look_ahead,
 )
 from planners.free_flyer.script import END, make_script
