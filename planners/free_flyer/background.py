@@ -37,11 +37,11 @@ from planners.free_flyer.strike import SETTLE
 from planners.plan import Plan
 
 DELAY = 2.0  # from asking for a plan to taking it over [s]
-MOST_PLANS = 3  # asked for in an episode
+MOST_PLANS = 2  # asked for in an episode
 APART = 8.0  # from the answer to the next question [s]
 LEAST_LEFT = 15.0  # of the horizon [s]
 CALM = 1.0  # before the next impact, when a plan is taken over [s]
-TIME_LIMIT = 30.0  # of the solver, should it ever hang [s]; the plans that are used take about a tenth of that
+TIME_LIMIT = 6.0  # of the solver, should it take far too long [s]
 
 
 @dataclass(frozen=True)

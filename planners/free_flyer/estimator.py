@@ -13,11 +13,17 @@ import numpy as np
 from impact_envs.compiled import compiled
 from impact_envs.free_flyer.sensing import BODY_SIZE
 from planners.free_flyer.options import Options
+from planners.free_flyer.pair_estimate import compute_pair_gain, get_pair, learn_velocity_error
 from planners.free_flyer.progress import (
     APPROACH,
-    FACTOR,
+    FREE_X,
+    FREE_Y,
+    HIT_X,
+    HIT_Y,
     NO_MEASUREMENT,
     NOBODY,
+    OBJECT_ERROR,
+    ROBOT_ERROR,
     SAMPLES,
     SIGMA,
     SQUARE,
@@ -201,6 +207,9 @@ def update_estimates(script: Script, progress: Progress, k: int, joint: np.ndarr
         if not math.isfinite(total):
             progress.counts[k, NO_MEASUREMENT] += 1
             continue
+        if calm:
+            dx, dy = joint[k, at + 2] - z[2], joint[k, at + 3] - z[3]
+            learn_velocity_error(progress, k, i, dx * dx + dy * dy, slow * slow * variance)
         correct_position(z, joint[k, at], joint[k, at + 1], variance)
         correct_velocity(z, joint[k, at + 2], joint[k, at + 3], slow * slow * variance)
         # The measured angle is only known up to whole turns.
@@ -233,12 +242,19 @@ def apply_impact(script: Script, progress: Progress, k: int, i: int, j: int, h: 
     reach = script.body[i, RADIUS] + script.body[j, RADIUS]
     ago = min(max(reach - distance, 0.0) / approach, h) if approach > 0.0 else 0.0
     m_a, m_b = script.body[i, MASS], script.body[j, MASS]
-    gain = compute_velocity_gain(script.restitution, m_a, m_b)
+    gain, ratio = compute_velocity_gain(script.restitution, m_a, m_b), m_b / m_a
     if j >= script.robots:
-        progress.hit[k, j - script.robots, APPROACH] = gain * approach
-        gain *= progress.hit[k, j - script.robots, FACTOR]
+        o = j - script.robots
+        gain, ratio = compute_pair_gain(progress, k, i, o), get_pair(progress, k, i, o)[1]
+    # The velocities are those of the end of the step.
+    approach = max(approach - ago * (progress.push[k, i, 0] * nx + progress.push[k, i, 1] * ny), 0.0)
+    felt = progress.felt[k, i]
+    felt[APPROACH], felt[HIT_X], felt[HIT_Y], felt[FREE_X], felt[FREE_Y] = approach, nx, ny, a[2], a[3]
+    felt[OBJECT_ERROR] = b[9]
+    # What is learned of the thrust takes the place of what the filter believes of it.
+    felt[ROBOT_ERROR] = max(a[9] - THRUST * THRUST * h * h, 0.0) + progress.velocity_error[k, i]
     for body in (0, 1):
-        change = gain * approach if body == 0 else -gain * approach * m_b / m_a
+        change = gain * approach if body == 0 else -gain * approach * ratio
         sigma = UNTRUSTED_JUMP * abs(change) + UNKNOWN_JUMP
         dx, dy = change * nx, change * ny
         shift(b if body == 0 else a, ago * dx, ago * dy, dx, dy, sigma * h, sigma)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -19,27 +19,43 @@ from planners.free_flyer.background import Background
 from planners.free_flyer.estimator import extrapolate
 from planners.free_flyer.loop import ADOPT, CONTROL, OBSERVE, START, run_experts
 from planners.free_flyer.options import EXPERT, VARIANTS, Options
+from planners.free_flyer.pair_estimate import NOW, compute_gain_spread, compute_pair_gain, find_row, get_pair
 from planners.free_flyer.progress import (
+    AGENT,
     COUNTERS,
-    FACTOR,
     IMPACT_INDEX,
     INSERTED,
     RATIO,
     SCALE,
     SEEN,
-    SPREAD,
     TIME,
     TURN,
     make_progress,
 )
 from planners.free_flyer.reoptimisation import make_program
-from planners.free_flyer.script import END, PLACE_X, PLACE_Y, ROBOT, make_script
+from planners.free_flyer.script import END, MASS, PLACE_X, PLACE_Y, ROBOT, make_script
 from planners.free_flyer.tracking import make_workspace
+from planners.free_flyer.two_body import compute_velocity_gain
 from planners.plan import Plan
 
 ONE_HOT = 6
 # What is no fallback of the expert but its daily work.
 ROUTINE = ("replans", "retimed", "reoptimised", "planned_anew", "avoided")
+
+
+class PairEstimate(NamedTuple):
+    """What is known of a pair of robot and object.
+
+    Attributes:
+        restitution: of the two.
+        mass_ratio: of the object over the robot.
+        restitution_spread, mass_ratio_spread: standard deviations.
+    """
+
+    restitution: float
+    mass_ratio: float
+    restitution_spread: float
+    mass_ratio_spread: float
 
 
 def check_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:
@@ -224,7 +240,9 @@ class FreeFlyerExpert:
         one_hot[min(index, ONE_HOT - 1)] = 1.0
         _, due, _ = find_next_knot(script, progress, 0, o, strike[INSERTED] > 0.0)
         hit, z = progress.hit[0, o], progress.filter[0]
-        now = progress.time[0]
+        now, r = progress.time[0], int(strike[AGENT])
+        believed = compute_velocity_gain(script.restitution, script.body[r, MASS], script.body[body, MASS])
+        factor = compute_pair_gain(progress, 0, r, o) / believed
         return np.concatenate(
             [
                 one_hot,
@@ -235,10 +253,22 @@ class FreeFlyerExpert:
                 wish - [vx, vy],
                 [hit[RATIO] or 1.0, hit[SEEN]],
                 z[int(planned[ROBOT]), :4] - z[body, :4],
-                [hit[FACTOR], math.sqrt(hit[SPREAD])],
+                [factor, factor * compute_gain_spread(progress, 0, r, o)],
                 z[body, 4:6],
             ]
         )
+
+    def estimates(self) -> dict[tuple[str, str], PairEstimate]:
+        """Return what is known of every pair of robot and object by now."""
+        found = {}
+        for r, robot in enumerate(self._scenario.robots):
+            for o, item in enumerate(self._scenario.objects):
+                restitution, ratio = get_pair(self.progress, 0, r, o)
+                i = find_row(self.progress, r, o)
+                variances = self.progress.pair[0, NOW, [i, i + 1], [1 + i, 2 + i]]
+                spread = np.sqrt(np.maximum(variances, 0.0))
+                found[robot, item] = PairEstimate(restitution, ratio, float(spread[0]), float(ratio * spread[1]))
+        return found
 
     def control(self) -> dict[str, np.ndarray]:
         """Replan where it is time to, and return each robot's action.

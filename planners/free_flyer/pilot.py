@@ -56,7 +56,7 @@ def start_world(script: Script, progress: Progress, options: Options, k: int) ->
     """Forget the last episode of world k."""
     progress.time[k] = 0.0
     open_filters(script, progress, options, k)
-    forget_hits(progress, k)
+    forget_hits(script, progress, k)
     start_strikes(script, progress, k, 0.0)
     progress.wanted[k] = math.inf
     for i in range(progress.counts.shape[1]):

@@ -12,7 +12,7 @@ from planners.free_flyer.course import COURSE_SIZE, IMPACT
 from planners.free_flyer.script import AT, END, NEXT, ROBOT, Script
 from planners.free_flyer.tracking import STAGES
 
-FILTER_SIZE, HIT_SIZE, SENSOR_SIZE = 12, 14, 4
+FILTER_SIZE, SENSOR_SIZE = 12, 4
 # Columns of Progress.strike, the coming impact of an object. IMPACT_INDEX: in the plan, or END if none is left;
 # INSERTED: 1 if it is none of the plan; AGENT: robot that hits; SCALE, TURN: correction of the impulse; SOLVED: 1 if
 # the two-body problem was solved; LAST: time of the object's last contact; LOOKED, OPTIMISED: times of
@@ -48,27 +48,34 @@ FILTER_SIZE, HIT_SIZE, SENSOR_SIZE = 12, 14, 4
     OPTIMISED,
     STRIKE_SIZE,
 ) = range(29)
-# Columns of Progress.hit, the last impact of an object and what was learned from all of them. PENDING: 1 until the
-# change of velocity can be observed; BEFORE: velocity before it; LATEST: velocity a step ago; APPROACH: change that is
-# expected of the estimated approach speed; FACTOR, SPREAD: true over believed velocity gain, mean and variance, KNOWN_
-# without the last impact; RATIO: observed over commanded change at the last impact, 0 before any; SEEN: number of
-# observations.
+# Columns of Progress.felt, the last contact of a robot: estimated approach speed, normal, velocity of the robot without
+# it, variances of the velocities of object and robot before it.
+APPROACH, HIT_X, HIT_Y, FREE_X, FREE_Y, OBJECT_ERROR, ROBOT_ERROR, FELT_SIZE = range(8)
+# Columns of Progress.hit, the last impact of an object, after those of Progress.felt. PENDING: 1 while it is observed;
+# HIT_BY: robot; BEFORE: velocity before it; LATEST: velocity a step ago; RATIO: observed over commanded change at the
+# last impact, 0 before any; SEEN: number of observations; GAINED: change of the object's velocity along the normal,
+# GAINED_VARIANCE 0 before it is seen; LEARNED: when it was; RECOIL: change of the robot's against the normal; SPENT:
+# change of its velocity by thrust since then; WATCHED: until when.
 (
     PENDING,
     HIT_AT,
+    HIT_BY,
     BEFORE_X,
     BEFORE_Y,
     LATEST_X,
     LATEST_Y,
-    APPROACH,
     COMMANDED,
-    FACTOR,
-    SPREAD,
-    KNOWN_FACTOR,
-    KNOWN_SPREAD,
     RATIO,
     SEEN,
-) = range(14)
+    GAINED,
+    GAINED_VARIANCE,
+    LEARNED,
+    RECOIL,
+    RECOIL_VARIANCE,
+    SPENT,
+    WATCHED,
+    HIT_SIZE,
+) = range(FELT_SIZE, FELT_SIZE + 18)
 # Columns of Progress.sensor.
 SIGMA, WEIGHT, SQUARE, SAMPLES = range(SENSOR_SIZE)
 # Columns of Progress.counts.
@@ -128,7 +135,12 @@ class Progress(NamedTuple):
         touch: body that each robot touched, UNKNOWN or NOBODY, shape (N, r).
         course: of the robots, shape (N, r, 19).
         strike: coming impact of each object, shape (N, m, 28).
-        hit: last impact of each object, shape (N, m, 14).
+        felt: last contact of each robot, shape (N, r, 7).
+        hit: last impact of each object, shape (N, m, 24).
+        pair: restitution and log mass ratio of each pair of robot and object, now and without the hits that are still
+            observed: mean, covariance, and two columns for computing, shape (N, 2, 2 r m, 2 r m + 3).
+        velocity_error: learned variance of each body's velocity after a control period, beyond that of its filter,
+            shape (N, n) [m^2/s^2].
         clock: expected times of the planned impacts, shape (N, K + 6) [s].
         place: wanted positions of the knots, shape (N, K + 6 + m, 2) [m].
         shifted: inputs left of the last successful MPC, and how many, shape (N, r, 31).
@@ -146,7 +158,10 @@ class Progress(NamedTuple):
     touch: np.ndarray
     course: np.ndarray
     strike: np.ndarray
+    felt: np.ndarray
     hit: np.ndarray
+    pair: np.ndarray
+    velocity_error: np.ndarray
     clock: np.ndarray
     place: np.ndarray
     shifted: np.ndarray
@@ -173,7 +188,10 @@ def make_progress(script: Script, count: int) -> Progress:
         touch=np.zeros((count, r), np.int64),
         course=np.zeros((count, r, COURSE_SIZE)),
         strike=np.zeros((count, n - r, STRIKE_SIZE)),
+        felt=np.zeros((count, r, FELT_SIZE)),
         hit=np.zeros((count, n - r, HIT_SIZE)),
+        pair=np.zeros((count, 2, 2 * r * (n - r), 2 * r * (n - r) + 3)),
+        velocity_error=np.zeros((count, n)),
         clock=np.zeros((count, planned)),
         place=np.zeros((count, planned + n - r, 2)),
         shifted=np.zeros((count, r, 3 * STAGES + 1)),

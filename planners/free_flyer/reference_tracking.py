@@ -10,8 +10,8 @@ from impact_envs.compiled import compiled
 from planners.free_flyer.avoidance import keep_off
 from planners.free_flyer.course import IMPACT, evaluate_course
 from planners.free_flyer.options import Options
+from planners.free_flyer.pair_estimate import compute_pair_gain, get_pair
 from planners.free_flyer.progress import (
-    FACTOR,
     LQR,
     N_X,
     N_Y,
@@ -30,7 +30,6 @@ from planners.free_flyer.script import (
     Script,
 )
 from planners.free_flyer.tracking import FEEDBACK, GAIN, INPUT_LIMIT, NO_JUMP, STAGES, Workspace, solve_tracking
-from planners.free_flyer.two_body import compute_velocity_gain
 
 
 @compiled
@@ -119,13 +118,12 @@ def fill_reference(script: Script, progress: Progress, workspace: Workspace, c: 
     node, striking = NO_JUMP, o != END and progress.course[k, r, IMPACT] > 0.0
     ahead = progress.strike[k, o, TIME] - now if striking else math.inf
     if ahead >= 0.0 and ahead < (STAGES - 0.5) * h:
-        strike, body = progress.strike[k, o], script.robots + o
+        strike = progress.strike[k, o]
         node = min(max(math.floor(ahead / h + 0.5), 1), STAGES - 1)
         durations[node - 1] = ahead - (node - 1) * h
         durations[node] = (node + 1) * h - ahead
-        m_r, m_o = script.body[r, MASS], script.body[body, MASS]
         # The robot's own jump: v+ = v- - c (n . v- - n . v_O) n with c = alpha m_O / m_R.
-        gain = progress.hit[k, o, FACTOR] * compute_velocity_gain(script.restitution, m_r, m_o) * m_o / m_r
+        gain = compute_pair_gain(progress, k, r, o) * get_pair(progress, k, r, o)[1]
         jump[0], jump[1], jump[2] = strike[N_X], strike[N_Y], gain
         jump[3] = strike[N_X] * strike[OBJECT_X] + strike[N_Y] * strike[OBJECT_Y]
     workspace.node[c] = node

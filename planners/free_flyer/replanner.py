@@ -9,11 +9,11 @@ from planners.free_flyer.aim import ROUND_OFF, aim, hasten
 from planners.free_flyer.course import approach, evaluate_course
 from planners.free_flyer.estimator import extrapolate
 from planners.free_flyer.options import Options
+from planners.free_flyer.pair_estimate import get_pair
 from planners.free_flyer.progress import (
     CHANGE,
     CONTACT_X,
     CONTACT_Y,
-    FACTOR,
     IMPACT_INDEX,
     INSERTED,
     LOST,
@@ -72,7 +72,7 @@ def solve_strike(script: Script, progress: Progress, options: Options, k: int, r
     dx, dy, distance = turn_to_centre(script, progress, k, o, time - now, dx, dy)
     desired = (vx + dx, vy + dy)
     normal = (strike[REFERENCE_X], strike[REFERENCE_Y])
-    factor = progress.hit[k, o, FACTOR]
+    restitution, ratio = get_pair(progress, k, r, o)
     solution = solve_two_body_impact(
         (x, y),
         (vx, vy),
@@ -80,8 +80,8 @@ def solve_strike(script: Script, progress: Progress, options: Options, k: int, r
         (vx, vy),
         normal,
         script.body[r, MASS],
-        script.body[body, MASS],
-        factor * (1.0 + script.restitution) - 1.0,
+        ratio * script.body[r, MASS],
+        restitution,
         script.body[r, RADIUS] + distance,
         script.body[r, SPEED],
     )

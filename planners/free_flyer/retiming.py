@@ -19,11 +19,11 @@ from planners.free_flyer.aim import (
 from planners.free_flyer.course import IMPACT
 from planners.free_flyer.estimator import compute_variance, extrapolate
 from planners.free_flyer.options import Options
+from planners.free_flyer.pair_estimate import compute_pair_gain
 from planners.free_flyer.progress import (
     AGENT,
     DECIDED,
     EXTRA,
-    FACTOR,
     IMPACT_INDEX,
     INSERTED,
     INSERTS,
@@ -51,7 +51,6 @@ from planners.free_flyer.script import (
     CLOSE,
     DEPTH,
     END,
-    MASS,
     NEXT,
     OPEN,
     RADIUS,
@@ -60,7 +59,6 @@ from planners.free_flyer.script import (
     Script,
 )
 from planners.free_flyer.strike import REPLAN_PERIOD, SETTLE, set_clocks, set_time
-from planners.free_flyer.two_body import compute_velocity_gain
 
 FROZEN = 4.0  # before an impact its time is kept [s]
 CANDIDATES = 121
@@ -273,8 +271,7 @@ def choose_agent(
         distance = math.hypot(x - a[0], y - a[1])
         cosine = ((x - a[0]) * nx + (y - a[1]) * ny) / max(distance, ROUND_OFF)
         inside = compute_room(script, progress, k, o, r, time, wish[0], wish[1]) >= WALL
-        gain = compute_velocity_gain(script.restitution, script.body[r, MASS], script.body[body, MASS])
-        speed = change / (gain * progress.hit[k, o, FACTOR])
+        speed = change / compute_pair_gain(progress, k, r, o)
         reachable = is_reachable(script, progress, k, r, px, py, vx + speed * nx, vy + speed * ny, time - now)
         if inside and reachable and cosine > best:
             best, found = cosine, r

@@ -8,6 +8,15 @@ from impact_envs.compiled import compiled
 from planners.free_flyer.aim import ROUND_OFF
 from planners.free_flyer.course import IMPACT, STOP, read_clock, return_to_plan, set_clock
 from planners.free_flyer.options import Options
+from planners.free_flyer.pair_estimate import (
+    MODEL_ERROR,
+    OBJECT_FLOOR,
+    UNSEEN,
+    relearn,
+    settle,
+    start_pairs,
+    watch_recoil,
+)
 from planners.free_flyer.progress import (
     AGENT,
     APPROACH,
@@ -16,22 +25,27 @@ from planners.free_flyer.progress import (
     CHANGE,
     COMMANDED,
     DECIDED,
-    FACTOR,
+    FELT_SIZE,
+    GAINED,
+    GAINED_VARIANCE,
     GIVE_UP,
     HIT_AT,
+    HIT_BY,
+    HIT_X,
+    HIT_Y,
     IMPACT_INDEX,
     INSERTED,
-    KNOWN_FACTOR,
-    KNOWN_SPREAD,
     LAST,
     LATEST_X,
     LATEST_Y,
+    LEARNED,
     LOOKED,
     MISSES,
     OPTIMISED,
     OUTCOME,
     PENDING,
     RATIO,
+    RECOIL_VARIANCE,
     REFERENCE_X,
     REFERENCE_Y,
     REPLANNED,
@@ -40,10 +54,11 @@ from planners.free_flyer.progress import (
     SCALE,
     SEEN,
     SOLVED,
-    SPREAD,
+    SPENT,
     TIME,
     TURN,
     UNPLANNED,
+    WATCHED,
     Progress,
     find_next_event,
 )
@@ -73,9 +88,7 @@ PATIENCE = 1.5  # after the expected impact it counts as missed [s]
 RETRY_IN = 5.0  # a missed impact is tried again after [s]
 RETRIES = 3
 OBSERVABLE = 1.0  # after a contact the object's velocity change can be observed [s]
-PRIOR_SPREAD = 0.13  # standard deviation of the true over the believed velocity gain
-APPROACH_ERROR = 4e-3  # standard deviation of the estimated approach speed [m/s]
-MODEL_ERROR = 0.02  # standard deviation of an observed factor, at least
+LEARN_PERIOD = 0.5  # between looks at what a hit did [s]
 RETURN_SECONDS = 12.0  # longest quintic back to the plan
 HASTE = 0.8  # of the time until a window closes, that a flight into it takes
 FAST = 0.2  # speed of such a flight, at most [m/s]
@@ -83,13 +96,12 @@ FASTEST_CLOCK = 1.5  # plan seconds per second; more would force the end pose wi
 
 
 @compiled
-def forget_hits(progress: Progress, k: int) -> None:
+def forget_hits(script: Script, progress: Progress, k: int) -> None:
     """Forget what world k's impacts taught."""
     for o in range(progress.hit.shape[1]):
         for column in range(progress.hit.shape[2]):
             progress.hit[k, o, column] = 0.0
-        progress.hit[k, o, FACTOR] = progress.hit[k, o, KNOWN_FACTOR] = 1.0
-        progress.hit[k, o, SPREAD] = progress.hit[k, o, KNOWN_SPREAD] = PRIOR_SPREAD * PRIOR_SPREAD
+    start_pairs(script, progress, k)
 
 
 @compiled
@@ -207,7 +219,7 @@ def take_contact(script: Script, progress: Progress, k: int, r: int, now: float)
     o = other - script.robots
     strike, hit = progress.strike[k, o], progress.hit[k, o]
     strike[LAST], index = now, int(strike[IMPACT_INDEX])
-    hit[KNOWN_FACTOR], hit[KNOWN_SPREAD], hit[PENDING] = hit[FACTOR], hit[SPREAD], 0.0
+    settle(progress, k, o)
     expected = strike[AGENT] == r and now >= strike[TIME] - EARLIEST
     if not expected:
         progress.counts[k, UNPLANNED] += 1
@@ -216,6 +228,10 @@ def take_contact(script: Script, progress: Progress, k: int, r: int, now: float)
     if strike[SOLVED] > 0.0:
         hit[PENDING], hit[HIT_AT], hit[COMMANDED] = 1.0, now, strike[CHANGE]
         hit[BEFORE_X], hit[BEFORE_Y] = hit[LATEST_X], hit[LATEST_Y]
+        for column in range(FELT_SIZE):
+            hit[column] = progress.felt[k, r, column]
+        hit[HIT_BY], hit[WATCHED], hit[SPENT], hit[LEARNED] = r, now, 0.0, -math.inf
+        hit[GAINED_VARIANCE], hit[RECOIL_VARIANCE] = 0.0, UNSEEN
     if strike[INSERTED] > 0.0:
         await_impact(script, progress, k, o, index, now)
     else:
@@ -254,26 +270,33 @@ def take_misses(script: Script, progress: Progress, options: Options, k: int, no
 
 @compiled
 def learn_from_hits(script: Script, progress: Progress, options: Options, k: int, now: float) -> None:
-    r"""Compare what the last impact of each object did with what it should have done.
+    """Compare what the last impact of each object did with what it should have done.
 
-    f = |v - v_before - a (t - t_hit)| / (alpha s), s the estimated approach speed, taken into the mean by its variance
-    (P_vv + (alpha sigma_s)^2) / (alpha s)^2 + sigma_model^2. One number stands for restitution and masses.
+    The change of the object's velocity is v - v_before - a (t - t_before), of variance P_vv - 2 (t - t_hit) P_va +
+    (t - t_hit)^2 P_aa.
     """
+    seen = False
     for o in range(len(script.first)):
         hit, z = progress.hit[k, o], progress.filter[k, script.robots + o]
         since = now - hit[HIT_AT]
-        if hit[PENDING] == 0.0 or since < OBSERVABLE - ROUND_OFF:
+        if hit[PENDING] == 0.0:
             continue
-        change = math.hypot(z[2] - hit[BEFORE_X] - z[4] * since, z[3] - hit[BEFORE_Y] - z[5] * since)
+        watch_recoil(progress, k, o, now)
+        if since < OBSERVABLE - ROUND_OFF:
+            continue
+        flight = since + script.period  # the velocity before the hit is that of a step before
+        x, y = z[2] - hit[BEFORE_X] - z[4] * flight, z[3] - hit[BEFORE_Y] - z[5] * flight
         if hit[COMMANDED] > 0.0:
             hit[SEEN] += 1.0 if hit[RATIO] == 0.0 else 0.0
-            hit[RATIO] = change / hit[COMMANDED]
-        if options.learn and hit[APPROACH] > APPROACH_ERROR:
-            expected = hit[APPROACH]
-            variance = (z[9] + APPROACH_ERROR * APPROACH_ERROR) / (expected * expected) + MODEL_ERROR * MODEL_ERROR
-            weight = hit[KNOWN_SPREAD] / (hit[KNOWN_SPREAD] + variance)
-            hit[FACTOR] = hit[KNOWN_FACTOR] + weight * (change / expected - hit[KNOWN_FACTOR])
-            hit[SPREAD] = (1.0 - weight) * hit[KNOWN_SPREAD]
+            hit[RATIO] = math.hypot(x, y) / hit[COMMANDED]
+        if options.learn and now >= hit[LEARNED] + LEARN_PERIOD - ROUND_OFF:
+            hit[GAINED] = x * hit[HIT_X] + y * hit[HIT_Y]
+            variance = max(z[9] - 2.0 * since * z[10] + since * since * z[11], 0.0)
+            variance += progress.velocity_error[k, script.robots + o] + OBJECT_FLOOR * OBJECT_FLOOR
+            hit[GAINED_VARIANCE] = variance + (MODEL_ERROR * hit[APPROACH]) ** 2
+            hit[LEARNED], seen = now, True
+    if seen:
+        relearn(progress, k)
 
 
 @compiled

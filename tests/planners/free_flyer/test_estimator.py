@@ -21,7 +21,8 @@ from planners.free_flyer.estimator import (
     update_estimates,
 )
 from planners.free_flyer.options import EXPERT, VARIANTS, Options
-from planners.free_flyer.progress import APPROACH, FACTOR, NO_MEASUREMENT, NOBODY, SIGMA, UNKNOWN, make_progress
+from planners.free_flyer.pair_estimate import NOW, find_row, start_pairs
+from planners.free_flyer.progress import APPROACH, NO_MEASUREMENT, NOBODY, SIGMA, UNKNOWN, make_progress
 from planners.free_flyer.script import make_script
 from planners.plan import Plan
 
@@ -90,6 +91,7 @@ class Estimator:
         self.script = make_script(scenario, plan)  # type: ignore[arg-type]
         self.progress = make_progress(self.script, 3)
         open_filters(self.script, self.progress, options, 1)
+        start_pairs(self.script, self.progress, 1)
 
     def update(self, measured: np.ndarray, world: World) -> int:
         """Take in a sample; return what snap touched."""
@@ -220,26 +222,26 @@ def test_without_drift_in_the_filter_none_is_found(scenario: FreeFlyerScenario) 
     assert np.all(estimator.drift(POP) == 0.0)
 
 
-@pytest.mark.parametrize("factor", [1.0, 0.75])
+@pytest.mark.parametrize("restitution", [0.8, 0.35])
 def test_contact_makes_the_modelled_jump_before_velocities_are_known(
-    scenario: FreeFlyerScenario, factor: float
+    scenario: FreeFlyerScenario, restitution: float
 ) -> None:
-    """A learned factor of the velocity gain is part of the model."""
+    """A learned restitution is part of the model."""
     world, estimator = World(scenario, sigma=1e-3), Estimator(scenario)
-    estimator.progress.hit[1, 0, FACTOR] = factor
+    estimator.progress.pair[1, NOW, find_row(estimator.progress, SNAP, 0), 0] = restitution
     world.aim(5.0)
     for _ in range(50):
         estimator.update(world.measure(velocity_known=False), world)
         world.advance()
     before, approach = estimator.velocity(POP), np.linalg.norm(world.velocity[SNAP])
-    world.bounce(factor * (1 + scenario.believed.restitution) - 1)
+    world.bounce(restitution)
     world.advance()
     assert estimator.update(world.measure(SNAP, velocity_known=False), world) == POP
     jump = np.linalg.norm(world.velocity[POP])
     assert np.linalg.norm(before) < 0.02 * jump
     for body in (SNAP, POP):
         assert np.linalg.norm(estimator.velocity(body) - world.velocity[body]) < 0.1 * jump
-    assert estimator.progress.hit[1, 0, APPROACH] == pytest.approx(0.9 * approach, rel=0.03)  # as believed: 1.8 / 2
+    assert estimator.progress.felt[1, SNAP, APPROACH] == pytest.approx(approach, rel=0.03)
 
 
 def test_missing_measurements_are_bridged_and_counted(scenario: FreeFlyerScenario) -> None:

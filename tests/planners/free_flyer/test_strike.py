@@ -26,6 +26,7 @@ from planners.free_flyer.aim import (
 )
 from planners.free_flyer.course import IMPACT, STOP, read_clock
 from planners.free_flyer.options import EXPERT, VARIANTS, Options
+from planners.free_flyer.pair_estimate import NOW, compute_gain_spread, compute_pair_gain, find_row
 from planners.free_flyer.pilot import control_world, should_replan, start_world
 from planners.free_flyer.progress import (
     AGENT,
@@ -37,7 +38,8 @@ from planners.free_flyer.progress import (
     CONTACT_Y,
     COUNTERS,
     DECIDED,
-    FACTOR,
+    FREE_X,
+    HIT_X,
     IMPACT_INDEX,
     INSERTED,
     LAST,
@@ -52,7 +54,6 @@ from planners.free_flyer.progress import (
     REPLANNED,
     SEEN,
     SOLVED,
-    SPREAD,
     TIME,
     UNKNOWN,
     find_next_event,
@@ -139,6 +140,14 @@ class Loop:
         self.progress.touch[K] = NOBODY
         self.progress.touch[K, robot] = body
         take_contact(self.script, self.progress, K, robot, now)
+
+    def feel(self, robot: int, approach: float) -> None:
+        """Let a robot's contact be one along x of a robot that stops, with exact velocities."""
+        self.progress.felt[K, robot] = 0.0
+        self.progress.felt[K, robot, [APPROACH, HIT_X, FREE_X]] = approach, 1.0, approach
+
+    def gain(self, robot: int, item: int) -> float:
+        return float(compute_pair_gain(self.progress, K, robot, item))
 
     def miss(self, now: float) -> None:
         take_misses(self.script, self.progress, self.options, K, now)
@@ -339,53 +348,53 @@ def test_after_an_inserted_impact_the_planned_one_is_still_to_come(loop: Loop) -
     assert (loop.count("retry"), loop.count("give_up")) == (0, 1)
 
 
-def test_ratio_and_factor_wait_for_the_velocity_and_end_with_the_next_contact(loop: Loop) -> None:
+def test_what_was_learned_waits_for_the_velocity_and_ends_with_the_next_contact(loop: Loop) -> None:
     """The robot approaches at 0.1 m/s, which is believed to give 0.09 m/s; it gives 0.07."""
     loop.strike[0, [SOLVED, CHANGE]] = 1.0, 0.08  # the expert asked for 0.08 m/s
     loop.see(POP, (0, 0), (0.01, 0.02), 10.0)
     remember_before(loop.script, loop.progress, K)
+    loop.feel(SNAP, 0.1)
     loop.contact(SNAP, POP, 10.0)
-    loop.hit[0, APPROACH] = 0.09
-    before = loop.hit[0, SPREAD]
+    before = compute_gain_spread(loop.progress, K, SNAP, 0)
     for now, speed in ((10.9, 0.5), (11.0, 0.07)):
         loop.see(POP, (0, 0), (0.01 + speed, 0.02), now)
         learn_from_hits(loop.script, loop.progress, EXPERT, K, now)
         if now < 11.0:
             assert loop.hit[0, RATIO] == 0.0
-            assert loop.hit[0, FACTOR] == 1.0
+            assert loop.gain(SNAP, 0) == pytest.approx(0.9)
     assert loop.hit[0, RATIO] == pytest.approx(0.07 / 0.08)
     assert loop.hit[0, SEEN] == 1.0
-    assert 0.07 / 0.09 < loop.hit[0, FACTOR] < 0.07 / 0.09 + 0.03  # what is seen counts more than what was believed
-    assert loop.hit[0, SPREAD] < 0.2 * before
-    learned = loop.hit[0, FACTOR]
+    assert loop.gain(SNAP, 0) == pytest.approx(0.7, abs=0.02)  # what is seen counts more than what was believed
+    assert compute_gain_spread(loop.progress, K, SNAP, 0) < 0.4 * before
+    learned = loop.gain(SNAP, 0)
     loop.contact(CRACKLE, POP, 13.0)  # not the planned time: a disturbance
     loop.see(POP, (0, 0), (0.3, 0.0), 15.0)
     learn_from_hits(loop.script, loop.progress, EXPERT, K, 15.0)
     assert loop.hit[0, RATIO] == pytest.approx(0.07 / 0.08)
-    assert loop.hit[0, FACTOR] == learned
-    assert loop.hit[1, FACTOR] == 1.0  # of the other object nothing is known
+    assert loop.gain(SNAP, 0) == learned
 
 
 def test_drift_is_not_blamed_on_the_impact(loop: Loop) -> None:
     loop.strike[0, [SOLVED, CHANGE]] = 1.0, 0.09
     loop.see(POP, (0, 0), (0.0, 0.0), 10.0)
     remember_before(loop.script, loop.progress, K)
+    loop.feel(SNAP, 0.1)
     loop.contact(SNAP, POP, 10.0)
-    loop.hit[0, APPROACH] = 0.09
-    loop.see(POP, (0, 0), (0.09 + 2 * 1e-3, 2 * 5e-3), 12.0)
+    flight = 2.0 + loop.script.period  # from the last look before the contact
+    loop.see(POP, (0, 0), (0.09 + flight * 1e-3, flight * 5e-3), 12.0)
     loop.progress.filter[K, POP, 4:6] = 1e-3, 5e-3
     learn_from_hits(loop.script, loop.progress, EXPERT, K, 12.0)
-    assert loop.hit[0, FACTOR] == pytest.approx(1.0, abs=1e-12)
+    assert loop.gain(SNAP, 0) == pytest.approx(0.9, abs=1e-6)
     assert loop.hit[0, BEFORE_X] == 0.0
 
 
 def test_variants_without_learning_keep_what_is_believed(loop: Loop) -> None:
     loop.strike[0, [SOLVED, CHANGE]] = 1.0, 0.09
+    loop.feel(SNAP, 0.1)
     loop.contact(SNAP, POP, 10.0)
-    loop.hit[0, APPROACH] = 0.09
     loop.see(POP, (0, 0), (0.05, 0.0), 12.0)
     learn_from_hits(loop.script, loop.progress, VARIANTS["paper_expert"], K, 12.0)
-    assert loop.hit[0, FACTOR] == 1.0
+    assert loop.gain(SNAP, 0) == pytest.approx(0.9, abs=1e-12)
     assert loop.hit[0, RATIO] == pytest.approx(0.05 / 0.09)  # it is seen all the same, for learners
 
 
@@ -490,7 +499,7 @@ def test_replan_leads_the_robot_behind_the_object_with_the_speed_that_is_needed(
     assert loop.progress.course[K, SNAP, IMPACT] == 1.0
     assert (loop.count("replans"), loop.count("lost")) == (1, 0)
     # A restitution that was learned changes the approach, not the aim.
-    loop.hit[0, FACTOR] = 1.4 / 1.8
+    loop.progress.pair[K, NOW, find_row(loop.progress, SNAP, 0), 0] = 0.4
     replan(loop.script, loop.progress, EXPERT, K, SNAP, 0, 2.0)
     np.testing.assert_allclose(loop.strike[0, minus], np.linalg.norm(wish) / 0.7 * normal, atol=1e-12)
 
