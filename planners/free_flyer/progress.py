@@ -16,7 +16,7 @@ FILTER_SIZE, SENSOR_SIZE = 12, 4
 # Columns of Progress.strike, the coming impact of an object. IMPACT_INDEX: in the plan, or END if none is left;
 # INSERTED: 1 if it is none of the plan; AGENT: robot that hits; SCALE, TURN: correction of the impulse; SOLVED: 1 if
 # the two-body problem was solved; LAST: time of the object's last contact; LOOKED, OPTIMISED: times of
-# the last retiming and re-optimisation.
+# the last retiming and re-optimisation; ASTRAY: since when it misses its next knot with nobody to mend it, or inf.
 (
     IMPACT_INDEX,
     INSERTED,
@@ -46,8 +46,9 @@ FILTER_SIZE, SENSOR_SIZE = 12, 4
     REFERENCE_X,
     REFERENCE_Y,
     OPTIMISED,
+    ASTRAY,
     STRIKE_SIZE,
-) = range(29)
+) = range(30)
 # Columns of Progress.felt, the last contact of a robot: estimated approach speed, normal, velocity of the robot without
 # it, variances of the velocities of object and robot before it.
 APPROACH, HIT_X, HIT_Y, FREE_X, FREE_Y, OBJECT_ERROR, ROBOT_ERROR, FELT_SIZE = range(8)
@@ -134,7 +135,7 @@ class Progress(NamedTuple):
         push: commanded acceleration of the robots since the last measurement, shape (N, r, 2) [m/s^2].
         touch: body that each robot touched, UNKNOWN or NOBODY, shape (N, r).
         course: of the robots, shape (N, r, 19).
-        strike: coming impact of each object, shape (N, m, 28).
+        strike: coming impact of each object, shape (N, m, 29).
         felt: last contact of each robot, shape (N, r, 7).
         hit: last impact of each object, shape (N, m, 24).
         pair: restitution and log mass ratio of each pair of robot and object, now and without the hits that are still

@@ -22,6 +22,7 @@ from planners.free_flyer.options import Options
 from planners.free_flyer.pair_estimate import compute_pair_gain
 from planners.free_flyer.progress import (
     AGENT,
+    ASTRAY,
     DECIDED,
     EXTRA,
     IMPACT_INDEX,
@@ -73,6 +74,7 @@ SAFE_DEVIATIONS = 0.5  # and so many standard deviations less,
 DEVIATIONS = 1.0
 SHALLOW = 0.3  # or, after the last impact, for ending less deep than this share of the plan's margin
 MOST_INSERTED = 4
+LONG_ASTRAY = 5.0  # without a robot that could mend it, until a new plan is wanted [s]
 LEADS = (6.0, 7.0, 9.0, 5.0, 4.0, 12.0, 15.0, 20.0)  # from now to an inserted impact [s]
 HASTES = (1.0, 0.7, 0.5)  # of the flight after it, by which its direction comes nearer to the flight's
 LEAST_LEG = 3.0  # after an inserted impact [s]
@@ -209,7 +211,11 @@ def insert(script: Script, progress: Progress, options: Options, k: int, o: int,
             progress.counts[k, INSERTS] += 1
             set_clocks(script, progress, k, now)
             return
-    if compute_margin(script, knot, x, y) + spread < 0.0 and progress.wanted[k] == math.inf:
+    if compute_margin(script, knot, x, y) + spread >= 0.0:
+        strike[ASTRAY] = math.inf
+    elif strike[ASTRAY] == math.inf:
+        strike[ASTRAY] = now
+    elif now >= strike[ASTRAY] + LONG_ASTRAY and progress.wanted[k] == math.inf:
         progress.counts[k, STRANDED] += 1
         progress.wanted[k] = now
 

@@ -20,6 +20,7 @@ from planners.free_flyer.pair_estimate import (
 from planners.free_flyer.progress import (
     AGENT,
     APPROACH,
+    ASTRAY,
     BEFORE_X,
     BEFORE_Y,
     CHANGE,
@@ -144,6 +145,7 @@ def await_impact(script: Script, progress: Progress, k: int, o: int, index: int,
     strike = progress.strike[k, o]
     strike[IMPACT_INDEX], strike[INSERTED], strike[MISSES], strike[REPLANNED] = index, 0.0, 0.0, -math.inf
     strike[SCALE], strike[TURN], strike[DECIDED], strike[SOLVED] = 0.0, 0.0, 0.0, 0.0
+    strike[ASTRAY] = math.inf
     strike[AGENT], strike[TIME] = -1.0, math.inf
     if index != END:
         strike[AGENT] = script.impact[index, ROBOT]
