@@ -51,7 +51,7 @@ class TrainingRecord(Record):
 
 
 def start_at_expert(model: Model, log_std: float) -> None:
-    """Make a new model's mean correction exactly zero and its exploration small.
+    """Make a new model's mean correction exactly zero, its exploration small, and PPO's value zero.
 
     Args:
         model: PPO or SAC model with a state-independent (PPO) or state-dependent (SAC) Gaussian.
@@ -59,6 +59,7 @@ def start_at_expert(model: Model, log_std: float) -> None:
     """
     if isinstance(model, PPO):
         set_to_zero(model.policy.action_net)
+        set_to_zero(model.policy.value_net)
         nn.init.constant_(model.policy.log_std, log_std)
     else:
         set_to_zero(model.actor.mu)

@@ -13,16 +13,16 @@ from impact_envs.floating_manipulator.observation import Measurement
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from impact_envs.physics.multibody import Chain, compute_directions, compute_point
 
-PERIOD = 1.0  # between two corrections [s]
+PERIOD = 3.0  # between two corrections [s]
 UNDER_WAY = 0.1  # nearer to its goal the tip is not corrected any more: there it is to be held [m]
 TORQUE_SHARE = 0.05  # of the stall torque, at correction 1
-WEIGHT_RANGE = 1.0  # of the logarithms of the weights, at correction 1
+WEIGHT_RANGE = 2.0  # of the logarithms of the weights, at correction 1
 PHASES = ("before", "pause", "after")
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Change of one second of OSDRE.
+    """Change of the OSDRE over one `PERIOD`.
 
     Attributes:
         torques: added before the motors' limits, shape (n,) [N m].

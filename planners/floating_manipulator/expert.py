@@ -25,11 +25,13 @@ from planners.floating_manipulator.correction import (
     read_correction,
 )
 from planners.floating_manipulator.osdre import Coefficients, OutputRegulator
+from planners.floating_manipulator.pulses import Thrusters
 
 Phase = Literal["before", "pause", "after"]
 EFFORT_BEFORE, EFFORT_AFTER = 1.0, 0.1  # R = r 1 before the first impact and after its pause: Nekoo et al., Sec. 4.1
 DAMPING = 0.75  # derivative over proportional gains: Nekoo et al., Sec. 4.4
 JOINT_DAMPING = 0.5  # of joint motion that the tip does not feel; among 0.25 to 2 the best on tuning seeds [N m s/rad]
+AVERAGED = 0.5  # at the end of a pause, from the last pulse on: time over which measured momenta are averaged [s]
 THRUSTER_GAIN, WHEEL_GAIN, JOINT_GAIN = 50.0, 200.0, 150.0  # [N/m], [N m/rad], [N m/rad]: Nekoo et al., Sec. 4.4
 
 
@@ -70,9 +72,11 @@ class FloatingManipulatorExpert:
     Where the base can be driven, so that the goal can be held, the paper's law after the pause is compensated: the
     drift is cancelled, joint motion that the tip does not feel is damped, and the tip keeps off the box. Without it
     the joints keep moving while the tip rests and push it out of its goal, and a box that was only grazed is hit again.
+    There, too, the thrusters fire in pulses (`pulses`) and the momentum is a mean over the end of the pause: with noise
+    or delay the thrusters would otherwise not come to rest, and one noisy momentum would be believed to the end.
 
-    While the tip is under way, a correction of the OSDRE is awaited every second (`agents.residual`); zero changes
-    nothing.
+    While the tip is under way, a correction of the OSDRE is awaited every three seconds (`agents.residual`); zero
+    changes nothing.
 
     Args:
         scenario: its true physics are not looked at.
@@ -102,6 +106,7 @@ class FloatingManipulatorExpert:
         self._regulator = OutputRegulator(self._chain, scenario.arm.goal, sdc)
         self._measured = base_rates == "measured"
         self._compensated = compensated and "base" in scenario.agents
+        self._thrusters = self._make_thrusters() if self._compensated else None
         self._n, self._limits = len(scenario.links), scenario.largest_commands
         self.correction_size, self.feature_size = correction_size(scenario), feature_size(scenario)
         self.reset(0)
@@ -121,7 +126,7 @@ class FloatingManipulatorExpert:
         self._resume = 0.0
         self._held = start = self._scenario.start
         self._measurement = Measurement(0.0, start, np.zeros(len(start)), False, self._rest())
-        self._impacts = 0
+        self._impacts = self._samples = 0
         self._correction: Correction | None = None
         self._awaiting, self._due, self._seconds = False, 0.0, 0.0
 
@@ -173,10 +178,10 @@ class FloatingManipulatorExpert:
         return self._awaiting
 
     def correct(self, correction: np.ndarray) -> None:
-        """Set the correction of the coming second.
+        """Set the correction of the coming three seconds.
 
-        A twentieth of the stall torques times c_1 ... c_n is added to the torques; R is multiplied by exp(c_n+1), the
-        weights of the tip's velocity in Q by exp(c_n+2).
+        A twentieth of the stall torques times c_1 ... c_n is added to the torques; R is multiplied by exp(2 c_n+1),
+        the weights of the tip's velocity in Q by exp(2 c_n+2).
 
         Args:
             correction: c in [-1, 1], shape (n + 2,); zero changes nothing, bit for bit.
@@ -222,6 +227,13 @@ class FloatingManipulatorExpert:
         self._measure_momenta(self._measurement)
         self.features()
 
+    def _make_thrusters(self) -> Thrusters | None:
+        thrusters, scenario = self._scenario.thrusters, self._scenario
+        if thrusters is None:
+            return None
+        gain = DAMPING * THRUSTER_GAIN
+        return Thrusters(thrusters.force, thrusters.dead_zone, gain, scenario.base.mass, scenario.control_period)
+
     def _rest(self) -> np.ndarray:
         """Return the box at its believed start, at rest, shape (6,)."""
         box = self._scenario.box
@@ -232,10 +244,16 @@ class FloatingManipulatorExpert:
             self.phase = "pause"
             self._impacts += 1
             self._resume = measurement.time + self._scenario.safety_pause
-            self._held = measurement.q.copy()
-        elif self.phase == "pause" and measurement.time >= self._resume - 1e-9:
-            self.phase = "after"
-            self._momenta = self._measure_momenta(measurement)
+            self._held, self._samples = measurement.q.copy(), 0
+            if self._thrusters is not None:
+                self._thrusters.reset()
+        elif self.phase == "pause":
+            left = self._resume - 1e-9 - measurement.time
+            if left <= (AVERAGED if self._compensated else 0.0):
+                self._samples += 1
+                self._momenta = self._momenta + (self._measure_momenta(measurement) - self._momenta) / self._samples
+            if left <= 0.0:
+                self.phase = "after"
 
     def _measure_momenta(self, measurement: Measurement) -> np.ndarray:
         """Return the manipulator's momenta from measured rates, shape (3,) [N s], [N m s]."""
@@ -273,4 +291,8 @@ class FloatingManipulatorExpert:
         away = self._measurement.q - self._held
         away[2] = math.remainder(away[2], math.tau)  # psi may be measured up to whole turns
         command = -gains * (away + DAMPING * self._measurement.v)
+        if self._thrusters is not None:
+            command[:2] = self._thrusters.fire(command[:2])
+            if command[:2].any():
+                self._samples = 0
         return {"arm": command[3:], "base": command[:3]}

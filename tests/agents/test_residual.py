@@ -183,6 +183,18 @@ def test_every_end_is_a_truncation_and_only_the_horizon_decides(short: Scenario)
             assert features[0] == 10.0  # what a learner bootstraps from is the state at the cut
 
 
+def test_a_learner_is_spared_what_every_return_has_in_it(short: Scenario) -> None:
+    action = np.zeros(2, np.float32)
+    env, learner = make_pusher_env(short, 10), DecidedEnds(make_pusher_env(short, 10))
+    learner.reset(seed=3)
+    known = sum(learner.unwrapped.parallel.bounds) / 2
+    plain, lengths, info = play(env, 3, action)
+    seen = sum(float(learner.step(action)[1]) for _ in lengths)
+    assert known < -0.1
+    assert seen == pytest.approx(plain + known, abs=1e-12)
+    assert seen == pytest.approx(2 * info["robustness"], abs=0.02)  # minus the effort
+
+
 def test_truncation_reaches_the_learner(short: Scenario) -> None:
     for max_cycles, kept in ((None, False), (10, True)):
         envs = VecNormalize(DummyVecEnv([lambda n=max_cycles: DecidedEnds(make_pusher_env(short, 10, max_cycles=n))]))

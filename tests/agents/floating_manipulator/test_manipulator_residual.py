@@ -53,7 +53,7 @@ def test_zero_is_the_expert_bit_for_bit_and_one_is_not(name):
     assert np.abs(corrected(1.0).signals["tip.x"] - plain.signals["tip.x"]).max() > 1e-3
 
 
-def test_a_correction_is_awaited_every_second_but_not_in_a_pause_nor_near_the_goal():
+def test_a_correction_is_awaited_every_three_seconds_but_not_in_a_pause_nor_near_the_goal():
     scenario = load_scenario("floating_manipulator_thrusters")
     expert, asked = make_expert(scenario), []
     env = parallel_env(scenario)
@@ -69,10 +69,10 @@ def test_a_correction_is_awaited_every_second_but_not_in_a_pause_nor_near_the_go
 
     rollout(env, Asking(), 0)
     times, phases, distances = zip(*asked, strict=True)
-    assert 8 <= len(asked) <= 30
+    assert 4 <= len(asked) <= 10
     assert set(phases) == {"before", "after"}
     assert min(distances) > 0.1
-    assert np.diff(times).min() > 1.0 - 1e-6
+    assert np.diff(times).min() > 3.0 - 1e-6
 
 
 def test_torques_are_added_and_weights_scaled_within_their_bounds():
@@ -87,7 +87,7 @@ def test_torques_are_added_and_weights_scaled_within_their_bounds():
     corrected.take(at_rest(scenario))
     corrected.correct(np.array([0.0, 0.0, 0.0, 1.0, -9.0]))  # clipped to -1
     regulator = OutputRegulator(scenario.chain(), scenario.arm.goal)
-    wanted, _ = regulator.control(scenario.start, np.zeros(6), math.e, np.zeros(3), math.exp(-1.0))
+    wanted, _ = regulator.control(scenario.start, np.zeros(6), math.exp(2.0), np.zeros(3), math.exp(-2.0))
     np.testing.assert_allclose(corrected.compute_controls()["arm"], wanted, rtol=1e-12)
 
 
@@ -96,7 +96,7 @@ def test_an_unanswered_request_counts_as_zero():
     plain, corrected = make_expert(scenario), make_expert(scenario)
     for k in range(3):
         for expert in (plain, corrected):
-            expert.take(at_rest(scenario, float(k)))
+            expert.take(at_rest(scenario, 3.0 * k))
         if k == 0:
             corrected.correct(np.ones(5))
         same = np.array_equal(plain.compute_controls()["arm"], corrected.compute_controls()["arm"])
