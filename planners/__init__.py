@@ -41,7 +41,15 @@ EXPERTS = {
 VARIANTS = {
     "dual_arm": ("published", "no_impact_map", "no_interim_phase", "no_synchronisation"),
     "floating_manipulator": ("published", "printed", "measured_base"),
-    "free_flyer": ("one_replan", "paper_expert", "with_learning", "with_retiming", "with_drift"),
+    "free_flyer": (
+        "one_replan",
+        "paper_expert",
+        "with_learning",
+        "with_retiming",
+        "with_drift",
+        "with_insertion",
+        "with_reoptimisation",
+    ),
 }
 
 
