@@ -31,7 +31,7 @@ from planners.free_flyer.progress import (
     WEIGHT,
     Progress,
 )
-from planners.free_flyer.script import HOME, KEEPS, MASS, RADIUS, START_X, START_Y, Script
+from planners.free_flyer.script import HOME, KEEPS, MASS, RADIUS, START_VX, START_VY, START_X, START_Y, Script
 from planners.free_flyer.two_body import compute_velocity_gain
 
 NEAR = 0.1  # a felt impact is blamed on a body closer than this gap [m]
@@ -39,7 +39,7 @@ UNTRUSTED_JUMP = 0.5  # standard deviation of a modelled velocity jump, relative
 UNKNOWN_JUMP = 0.002  # the same, at least [m/s]
 UNSEEN_JUMP = 0.05  # of a robot that felt an impact with nothing near [m/s]
 START_POSITION = 1e-3  # bodies start where the scenario says [m]
-START_VELOCITY = 1e-4  # and at rest [m/s]; knowing this makes a small drift visible early
+START_VELOCITY = 1e-4  # and as fast [m/s]; knowing this makes a small drift visible early
 SURPRISE = 6.0  # standard deviations, and
 SURPRISE_FLOOR = 2e-3  # [m] beyond which a position tells of an unseen event, such as a bounce off a wall
 # What the filters believe of sensors and disturbances, as standard deviations.
@@ -143,12 +143,13 @@ def shift(z: np.ndarray, px: float, py: float, vx: float, vy: float, sigma_p: fl
 
 @compiled
 def open_filters(script: Script, progress: Progress, options: Options, k: int) -> None:
-    """Start world k's estimates where the scenario says, at rest."""
+    """Start world k's estimates as the scenario says."""
     for i in range(len(script.body)):
         z = progress.filter[k, i]
         for column in range(len(z)):
             z[column] = 0.0
         z[0], z[1] = script.body[i, START_X], script.body[i, START_Y]
+        z[2], z[3] = script.body[i, START_VX], script.body[i, START_VY]
         z[6], z[9] = START_POSITION * START_POSITION, START_VELOCITY * START_VELOCITY
         if options.drift and i >= script.robots and script.body[i, KEEPS] == 0.0:
             z[11] = DRIFT * DRIFT

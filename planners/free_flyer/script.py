@@ -13,7 +13,7 @@ from planners.free_flyer.tracking import build_tracking_problem
 from planners.plan import Plan
 
 # Columns of Script.body.
-START_X, START_Y, HOME, MASS, RADIUS, SPEED, KEEPS = range(7)
+START_X, START_Y, HOME, MASS, RADIUS, SPEED, KEEPS, START_VX, START_VY = range(9)
 # Columns of Script.impact.
 AT, ROBOT, OBJECT, PLACE_X, PLACE_Y, NORMAL_X, NORMAL_Y, NEXT, KNOT = range(9)
 # Columns of Script.knot.
@@ -30,7 +30,7 @@ class Script(NamedTuple):
         horizon: [s].
         restitution: believed.
         robots: r.
-        body: KEEPS: force by which an object keeps its velocity [N], shape (n, 7).
+        body: KEEPS: force by which an object keeps its velocity [N], shape (n, 9).
         impact: index NEXT of the object's next impact, or END; index KNOT of its knot, shape (K, 9).
         first: first impact of each object, or END, shape (objects,).
         knot: of each impact, then of the end of each object: position, window, margin of the plan, number of faces,
@@ -71,7 +71,15 @@ def make_script(scenario: FreeFlyerScenario, plan: Plan, begin: float = 0.0) -> 
     names = scenario.bodies
     bodies = [scenario.body(name) for name in names]
     rows = [
-        (*body.start, body.heading, body.mass, body.radius, body.speed_limit, getattr(body, "keep_force", 0.0))
+        (
+            *body.start,
+            body.heading,
+            body.mass,
+            body.radius,
+            body.speed_limit,
+            getattr(body, "keep_force", 0.0),
+            *body.start_velocity,
+        )
         for body in bodies
     ]
     impact, first, knots = _make_impacts(scenario, plan)
