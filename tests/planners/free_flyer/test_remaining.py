@@ -69,6 +69,13 @@ def test_a_drifting_object_is_thrown_into_the_goal() -> None:
     np.testing.assert_allclose(plan.impacts[0].object_minus, [-0.03, 0.0], atol=1e-9)
 
 
+def test_the_expert_expects_the_start_velocity() -> None:
+    scenario = _drift((-0.03, 0.0))
+    expert = make_expert(scenario, make_plan(scenario))
+    expert.reset(0)
+    np.testing.assert_allclose(expert.progress.filter[0, -1, 2:4], [-0.03, 0.0], atol=1e-12)
+
+
 def test_an_object_that_need_not_rest_may_fly_on_and_one_that_must_is_hit() -> None:
     farther = {"regions.goal.lower": [0.25, 3.05], "regions.goal.upper": [0.75, 3.55]}
     flying = make_plan(_drift((0.0, 0.06), **farther, **{"objects.pop.rest": False}))
