@@ -1,16 +1,20 @@
 """New plans in the background, for worlds whose plan has no future: a process solves, the loop goes on.
 
 A plan is asked for from the state that is expected DELAY later, and taken over then, in simulated time: what an episode
-does never depends on how fast the machine is. Where simulated time runs faster than the solver, the loop waits.
+does does not depend on how fast the machine is, unless the solver comes to its TIME_LIMIT. Where simulated time runs
+faster than the solver, the loop waits.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
+import queue
 import subprocess
 import sys
+import threading
 from dataclasses import dataclass
 from typing import TextIO, cast
 
@@ -74,6 +78,7 @@ class Background:
         self._answers: dict[int, str | None] = {}
         self._numbers = self._read = 0
         self._worker: subprocess.Popen[str] | None = None
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._owner = os.getpid()
 
     def forget(self, k: int) -> None:
@@ -95,8 +100,7 @@ class Background:
             if now < request.begin - 1e-6:
                 return None
             del self._pending[k]
-            if self._asked[k] < MOST_PLANS:
-                self._held[k] = now + APART
+            self._hold(k, now)
             return self._take(progress, k, request)
         if now >= self._held.get(k, math.inf):
             del self._held[k]
@@ -123,10 +127,17 @@ class Background:
         """End the process."""
         if self._worker is not None and self._owner == os.getpid():
             self._worker.kill()
-            self._worker.communicate()
+            self._worker.wait()
+            for pipe in (self._worker.stdin, self._worker.stdout):
+                with contextlib.suppress(OSError, ValueError):
+                    cast(TextIO, pipe).close()
             self._worker = None
 
     __del__ = close
+
+    def _hold(self, k: int, now: float) -> None:
+        if self._asked[k] < MOST_PLANS:
+            self._held[k] = now + APART
 
     def _ask(self, script: Script, progress: Progress, k: int, now: float) -> None:
         self._asked[k] = self._asked.get(k, 0) + 1
@@ -135,7 +146,7 @@ class Background:
             rest = self._make_rest(script, progress, k, now, begin)
         except InputError:
             progress.counts[k, NO_PLAN] += 1
-            self._held[k] = now + APART
+            self._hold(k, now)
             return
         self._numbers += 1
         self._pending[k] = Request(self._numbers, begin, rest)
@@ -144,7 +155,7 @@ class Background:
             "scenario": rest.model_dump(mode="json"),
             "impacts": _count_impacts(script, progress, k),
         }
-        stdin, _ = self._reach_worker()
+        stdin = self._reach_worker()
         try:
             stdin.write(json.dumps(data) + "\n")
             stdin.flush()
@@ -182,25 +193,39 @@ class Background:
 
     def _await(self, number: int) -> str | None:
         """Return the plan that answers a request, None if there is none."""
-        while self._read < number:  # answers come in the order of the questions
-            line = self._worker.stdout.readline() if self._worker and self._worker.stdout else ""
-            if not line:
+        while self._read < number and self._owner == os.getpid():  # answers come in the order of the questions
+            try:
+                answer = json.loads(self._lines.get())
+            except ValueError:  # the worker ended, in the middle of a line maybe: what it was asked is lost
+                self._read = self._numbers
                 self.close()
                 break
-            answer = json.loads(line)
             self._read = answer["number"]
             if self._read in {number, *(request.number for request in self._pending.values())}:
                 self._answers[self._read] = answer["plan"]
         return self._answers.pop(number, None)
 
-    def _reach_worker(self) -> tuple[TextIO, TextIO]:
+    def _reach_worker(self) -> TextIO:
+        """Return where the worker takes questions; start it, and a thread that takes its answers, if there is none."""
         if self._owner != os.getpid():  # forked: the worker belongs to the parent
             self._worker, self._owner = None, os.getpid()
         if self._worker is None or self._worker.poll() is not None:
             self._worker = subprocess.Popen(
                 [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
             )
-        return cast(TextIO, self._worker.stdin), cast(TextIO, self._worker.stdout)
+            self._lines = queue.SimpleQueue()
+            threading.Thread(target=_forward, args=(self._worker.stdout, self._lines), daemon=True).start()
+        return cast(TextIO, self._worker.stdin)
+
+
+def _forward(answers: TextIO, lines: queue.SimpleQueue[str]) -> None:
+    """Take a worker's answers as they come, so that neither side waits for the other; an empty line is the end."""
+    try:
+        for line in answers:
+            lines.put(line)
+    except ValueError:  # closed
+        pass
+    lines.put("")
 
 
 def _is_calm(progress: Progress, k: int, now: float) -> bool:

@@ -85,9 +85,10 @@ class FreeFlyerExpertBatch:
         if joint.shape != (self.count, self.size):
             raise InputError(f"observations have shape {joint.shape}; ({self.count}, {self.size}) is needed")
         actions = np.empty((self.count, self.robots, 3))
-        for k in np.flatnonzero(joint[:, self.size - 3] == 0.0) if self._own or self._background.pending else ():
-            self._own.pop(int(k), None)
-            self._background.forget(int(k))
+        for k in np.flatnonzero(joint[:, self.size - 3] == 0.0).tolist():  # starts anew
+            self._own.pop(k, None)
+            self._background.forget(k)
+            self.progress.wanted[k] = np.inf
         if self._plan_anew:
             for k in self._background.find_busy(self.progress).tolist():
                 script = self._background.look(self._own.get(k, self._script), self.progress, k)

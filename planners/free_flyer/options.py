@@ -32,7 +32,7 @@ class Options(NamedTuple):
 
 
 EXPERT = Options()
-# Each is the one before and one part more; the last part makes the expert.
+# Each is the one before and more; the last part makes the expert.
 _PAPER = Options(learn=False, retime=False, drift=False, insert=False, reoptimise=False, plan_anew=False, avoid=False)
 VARIANTS = {
     "one_replan": _PAPER._replace(once=True),

@@ -107,15 +107,15 @@ def observe_world(
     take_misses(script, progress, options, k, now)
     learn_from_hits(script, progress, options, k, now)
     look_ahead(script, progress, options, program, c, k, now)
-    remember_positions(progress, k, now)
+    remember_positions(script, progress, k, now)
     return find_due(script, progress, k, now)
 
 
 @compiled
-def remember_positions(progress: Progress, k: int, now: float) -> None:
+def remember_positions(script: Script, progress: Progress, k: int, now: float) -> None:
     """Keep where the bodies of world k are seen, every half second."""
     at = int(now / PAST_PERIOD + ROUND_OFF)
-    if at < progress.past.shape[1] and now - at * PAST_PERIOD < ROUND_OFF:
+    if at < progress.past.shape[1] and now - at * PAST_PERIOD < script.period - ROUND_OFF:
         for i in range(progress.past.shape[2]):
             progress.past[k, at, i, 0], progress.past[k, at, i, 1] = progress.filter[k, i, 0], progress.filter[k, i, 1]
 

@@ -43,7 +43,7 @@ from planners.free_flyer.script import (
     Script,
 )
 
-MOST_KNOTS = 8  # impacts of an object that are optimised at once; further ones stay where they are
+MOST_KNOTS = 8  # impacts of an object that are optimised at once; further ones keep their times
 SIZE = 3 * MOST_KNOTS + 1  # of the variables
 ROWS = 320
 SCALE_RHO = 0.1  # s_rho [m]
@@ -64,7 +64,7 @@ class Program(NamedTuple):
 
     Attributes:
         chain: knots of an object that are left, shape (T, 9).
-        line: of its flight to the first of them: position at time 0 and velocity, shape (T, 4).
+        line: its flight to the first of them, position at time 0 and velocity, and the time of the last, shape (T, 5).
         centre, scale, point: what the variables are pulled to, s, and the point from there in units of s,
             shape (T, 25).
         rows, bounds: of that point, shapes (T, 320, 25), (T, 320).
@@ -86,7 +86,7 @@ def make_program(threads: int = 1) -> Program:
     T, n = threads, SIZE
     return Program(
         chain=np.zeros((T, MOST_KNOTS + 1), np.int64),
-        line=np.zeros((T, 4)),
+        line=np.zeros((T, 5)),
         centre=np.zeros((T, n)),
         scale=np.zeros((T, n)),
         point=np.zeros((T, n)),
@@ -116,6 +116,7 @@ def reoptimise(script: Script, progress: Progress, program: Program, c: int, k: 
         W.chain[c, stages] = index
         index, stages = int(script.impact[index, NEXT]), stages + 1
     W.chain[c, stages] = last if index == END else index
+    W.line[c, 4] = script.horizon if index == END else progress.clock[k, index]
     _set_references(script, progress, W, c, k, o, stages)
     rows = _add_demands(script, W, c, stages)
     rows = _add_order(script, progress, W, c, k, o, stages, rows, now)
@@ -185,11 +186,11 @@ def _put(W: Program, c: int, row: int, v: int, factor: float) -> None:
 
 
 @compiled
-def _put_time(script: Script, W: Program, c: int, row: int, stages: int, i: int, factor: float) -> None:
+def _put_time(W: Program, c: int, row: int, stages: int, i: int, factor: float) -> None:
     if i < stages:
         _put(W, c, row, i, factor)
     else:
-        W.bounds[c, row] -= factor * script.horizon
+        W.bounds[c, row] -= factor * W.line[c, 4]
 
 
 @compiled
@@ -230,16 +231,16 @@ def _add_order(
         # Never later than the impact was expected, if that is later than the reserve allows.
         latest = max(script.horizon - max(RESERVE, RESERVE_SHARE * script.horizon), progress.clock[k, knot])
         row = _open_row(W, c, rows, stages, min(closes - inset, latest))
-        _put_time(script, W, c, row, stages, i, 1.0)
+        _put_time(W, c, row, stages, i, 1.0)
         earliest = max(opens + inset, min(now + NOTICE, progress.clock[k, knot])) if i == 0 else opens + inset
         row = _open_row(W, c, row + 1, stages, -earliest)
-        _put_time(script, W, c, row, stages, i, -1.0)
+        _put_time(W, c, row, stages, i, -1.0)
         rows = row + 1
         if i > 0:
             planned = script.impact[knot, AT] - script.impact[int(W.chain[c, i - 1]), AT]
             row = _open_row(W, c, rows, stages, -min(GAP, planned))
-            _put_time(script, W, c, row, stages, i - 1, 1.0)
-            _put_time(script, W, c, row, stages, i, -1.0)
+            _put_time(W, c, row, stages, i - 1, 1.0)
+            _put_time(W, c, row, stages, i, -1.0)
             rows = row + 1
     return rows
 
@@ -257,8 +258,8 @@ def _add_flights(script: Script, W: Program, c: int, body: int, stages: int, row
                 row = _open_row(W, c, rows, stages, 0.0)
                 _put_place(W, c, row, stages, i + 1, x, y)
                 _put_place(W, c, row, stages, i, -x, -y)
-                _put_time(script, W, c, row, stages, i + 1, -fastest)
-                _put_time(script, W, c, row, stages, i, fastest)
+                _put_time(W, c, row, stages, i + 1, -fastest)
+                _put_time(W, c, row, stages, i, fastest)
                 rows = row + 1
         dx = script.knot[there, KNOT_X] - script.knot[here, KNOT_X]
         dy = script.knot[there, KNOT_Y] - script.knot[here, KNOT_Y]
@@ -310,7 +311,7 @@ def _add_robots(
             ox, oy = _find_contact(script, r, o, at, ox, oy)
             planned = script.impact[knot, AT] - script.impact[at, AT]
             rows = _add_way(script, W, c, stages, rows, r, i, (x, y), (cx - ox, cy - oy), 0.0, 1.0, planned)
-            _put_time(script, W, c, rows - 1, stages, before, 1.0)
+            _put_time(W, c, rows - 1, stages, before, 1.0)
         for other in range(len(script.first)):
             at = int(progress.strike[k, other, IMPACT_INDEX])
             while at != END and other != o:
@@ -362,7 +363,7 @@ def _add_way(
     slope = tau / (2.0 * d) if tau < longest else 0.0
     ux, uy = slope * way[0] / d, slope * way[1] / d
     row = _open_row(W, c, rows, stages, ux * here[0] + uy * here[1] - tau - sign * time)
-    _put_time(script, W, c, row, stages, i, -sign)
+    _put_time(W, c, row, stages, i, -sign)
     _put_place(W, c, row, stages, i, ux, uy)
     return row + 1
 

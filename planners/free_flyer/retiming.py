@@ -106,7 +106,7 @@ def look_ahead(
                 progress.wanted[k] = min(progress.wanted[k], now)
         if options.retime and strike[LAST] > 0.0 and strike[IMPACT_INDEX] != END and now <= strike[TIME] - FROZEN:
             retime(script, progress, k, o, now)
-        if options.insert and strike[EXTRA] < MOST_INSERTED and strike[LAST] > 0.0:
+        if options.insert and strike[LAST] > 0.0:
             insert(script, progress, options, k, o, now)
 
 
@@ -190,9 +190,13 @@ def insert(script: Script, progress: Progress, options: Options, k: int, o: int,
         room = compute_room(script, progress, k, o, int(strike[AGENT]), time, wish_x, wish_y)
         turned = compute_turn(script, progress, k, o, wish_x, wish_y) < SAME_SIDE
         astray = room + spread < EDGE or turned
+    if not astray:
+        strike[ASTRAY] = math.inf
     if not astray or script.horizon - now < LEADS[0] + REST:
         return
     for lead in LEADS:
+        if strike[EXTRA] >= MOST_INSERTED:
+            break
         for haste in HASTES:
             duration = haste * compute_leg(script, progress, k, o, knot, over, now + lead)
             if now + lead + duration > script.horizon - (0.0 if over else RESERVE) or duration < LEAST_LEG:

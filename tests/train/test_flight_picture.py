@@ -145,7 +145,10 @@ def test_events_are_what_the_expert_counted(figure: Figure, played: tuple[Flight
     labels = [text.get_text() for text in panel.get_yticklabels()]
     assert episode.replans == len(record.replans) == len(_times(record, "replans"))
     assert len(record.expectations) == episode.replans - len(episode.impacts)  # after an impact back to the plan
-    counted = {"replans": episode.replans} | episode.fallbacks  # which lack the other routine: retiming
+    anew = {"reoptimised": episode.reoptimised["same_sequence"], "planned_anew": episode.reoptimised["free_sequence"]}
+    # Which lack the other routine: retiming.
+    counted = {"replans": episode.replans} | {name: n for name, n in anew.items() if n} | episode.fallbacks
+    assert counted["reoptimised"] == 1  # after the throw
     assert dict(label.rsplit(" ", 1) for label in labels).keys() - {"retimed"} == {
         name.replace("_", " ") for name in counted
     }

@@ -426,15 +426,16 @@ def test_variants_by_name(scenario: FreeFlyerScenario, plan: Plan) -> None:
 
 def test_each_variant_has_one_part_more_than_the_last() -> None:
     parts = [{name for name, on in options._asdict().items() if on} for options in VARIANTS.values()]
-    once, paper, learning, retiming, drift = parts
+    once, paper, learning, retiming, drift, insertion, reoptimisation = parts
     assert once == {"once", "mpc"}
     assert paper == {"mpc"}
     assert learning - paper == {"learn"}
     assert retiming - learning == {"retime"}
     assert drift - retiming == {"drift"}
-    assert "insert" not in drift
-    assert EXPERT.insert
-    assert drift < {name for name, on in EXPERT._asdict().items() if on}
+    assert insertion - drift == {"insert", "avoid"}
+    assert reoptimisation - insertion == {"reoptimise"}
+    assert {name for name, on in EXPERT._asdict().items() if on} - reoptimisation == {"plan_anew"}
+    assert paper < learning < retiming < drift < insertion < reoptimisation
 
 
 def test_unknown_variant_is_refused_with_the_choices(scenario: FreeFlyerScenario, plan: Plan) -> None:

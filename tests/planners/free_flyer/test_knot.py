@@ -113,6 +113,39 @@ def test_pingpong_binds_within_its_windows() -> None:
     assert len(knots[1].faces) == 4
 
 
+def test_rest_between_two_knots_serves_the_windows_it_spans() -> None:
+    """F[18,20], F[28,30] and F[38,40] are served by one rest, F[59,60] by another."""
+    places = [(8, 1.25, 0), (20, 2.75, 0), (38, 2.75, 0), (47, 2, 0), (60, 2, 0)]
+    knots = knots_of(load("pingpong"), places)
+    assert [knot.rests for knot in knots] == [False, True, False, True, False]
+    assert [faces(knot) for knot in knots] == [LEFT, RIGHT, RIGHT, CENTRE, CENTRE]
+    assert [knot.window for knot in knots] == [(8, 10), (0, 20), (38, 40), ANY_TIME, (59, 60)]
+    assert all(len(knot.faces) == 4 for knot in knots)  # nothing is demanded twice
+
+
+def test_object_comes_to_rest_before_a_window_closes_and_leaves_after_it_opens() -> None:
+    places = [(9, 1.25, 0), (15, 2.6, 0), (25, 2.6, 0), (39, 2.8, 0), (60, 2, 0)]
+    _, arrival, leaving, *_ = knots_of(load("pingpong"), places)
+    assert (arrival.window, leaving.window) == ((0, 20), (18, math.inf))
+    assert faces(arrival) == faces(leaving) == RIGHT
+
+
+@pytest.mark.parametrize(
+    ("formula", "time", "bound", "window"),
+    [
+        ("F[0,5] pop in left", 8, LEFT, ANY_TIME),
+        ("F[5,10] pop in left", 8, LEFT, (5, 10)),
+        ("F[5,10] pop in left", 15, LEFT, (5, math.inf)),  # it may stay longer
+        ("F[9,20] pop in left", 8, set(), ANY_TIME),  # it has left before
+    ],
+)
+def test_object_rests_until_its_first_impact(
+    formula: str, time: float, bound: set[tuple[float, ...]], window: tuple[float, float]
+) -> None:
+    first, *_ = knots_of(load("pingpong", formula), [(time, 1.25, 0), (20, 2.75, 0), (60, 2, 0)])
+    assert (faces(first), first.window) == (bound, window)
+
+
 def test_solid_obstacle_is_kept_off_by_the_radius_on_the_side_of_each_leg() -> None:
     inside = {(-1, 0, -4.5), (1, 0, 5.5), (0, -1, -0.5), (0, 1, 1.5)}
     above, left, below = (0, -1, -4.2), (1, 0, 2.8), (0, 1, 1.8)

@@ -33,6 +33,7 @@ from planners.free_flyer.pair_estimate import (
     start_pairs,
     watch_recoil,
 )
+from planners.free_flyer.pilot import adopt_world
 from planners.free_flyer.progress import (
     APPROACH,
     CHANGE,
@@ -54,8 +55,7 @@ from planners.free_flyer.progress import (
     make_progress,
 )
 from planners.free_flyer.replanner import solve_strike
-from planners.free_flyer.script import AT, Script, make_script
-from planners.free_flyer.strike import start_strikes
+from planners.free_flyer.script import Script, make_script
 from planners.plan import Plan
 
 SNAP, CRACKLE = range(2)
@@ -340,12 +340,16 @@ def test_robot_is_expected_to_recoil_by_the_estimated_masses(thrown: FreeFlyerEx
     assert np.linalg.norm(recoil) == pytest.approx(ratio * strike[CHANGE])
 
 
+def test_new_plan_keeps_what_was_learned(thrown: FreeFlyerExpert) -> None:
+    known = thrown.estimates()["snap", "pop"]
+    assert known.restitution_spread < RESTITUTION_SPREAD
+    adopt_world(thrown.script, thrown.progress, 0)
+    assert thrown.estimates()["snap", "pop"] == known
+
+
 def test_new_episode_forgets(thrown: FreeFlyerExpert) -> None:
-    expert = thrown
-    start_strikes(expert.script, expert.progress, 0)
-    assert expert.script.impact[0, AT] > 0.0
-    estimate = expert.estimates()["snap", "pop"]
-    assert estimate == pytest.approx((0.8, 1.0, RESTITUTION_SPREAD, MASS_SPREAD))
+    thrown.reset(0)
+    assert thrown.estimates()["snap", "pop"] == pytest.approx((0.8, 1.0, RESTITUTION_SPREAD, MASS_SPREAD))
 
 
 def test_estimates_under_noise_are_as_good_as_they_say() -> None:

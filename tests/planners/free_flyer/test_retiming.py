@@ -12,7 +12,8 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
 from planners.free_flyer.aim import CRUISE
 from planners.free_flyer.course import COURSE_SIZE, IMPACT, SINCE, UNTIL, evaluate_course, fit_quintic
-from planners.free_flyer.options import EXPERT, VARIANTS, Options
+from planners.free_flyer.options import VARIANTS, Options
+from planners.free_flyer.pair_estimate import compute_pair_gain
 from planners.free_flyer.pilot import start_world
 from planners.free_flyer.progress import (
     AGENT,
@@ -27,10 +28,12 @@ from planners.free_flyer.progress import (
     make_progress,
 )
 from planners.free_flyer.reach import EASE, is_reachable
+from planners.free_flyer.reoptimisation import make_program
 from planners.free_flyer.retiming import (
     FROZEN,
     LEADS,
     LEAST_LEG,
+    LONG_ASTRAY,
     MOST_INSERTED,
     RESERVE_SHARE,
     SIDE,
@@ -44,7 +47,8 @@ from planners.plan import Plan, PlannedImpact
 HORIZON, HIT = 100.0, 10.0
 SNAP, CRACKLE, POP = range(3)
 K = 1  # the world that is played, of three
-FIXED = EXPERT._replace(retime=False)  # where the object is late or early, it is hit once more or not at all
+BOTH = VARIANTS["with_insertion"]  # impacts are moved and inserted, what is left of the plan is not chosen anew
+FIXED = BOTH._replace(retime=False)  # where the object is late or early, it is hit once more or not at all
 BAND = "G[0,100] (pop.y <= 0.5 & pop.y >= -0.5)"  # the plan is 0.5 m deep in it
 # Impacts of the plan: (time, robot, x) of the object, which flies along y = 0.
 THREE = ((HIT, "snap", 1.0), (30.0, "crackle", 3.0), (60.0, "snap", 1.5))
@@ -90,14 +94,14 @@ class Loop:
         self,
         formula: str = BAND,
         impacts: tuple[tuple[float, str, float], ...] = THREE,
-        options: Options = EXPERT,
+        options: Options = BOTH,
         hit: bool = True,
     ) -> None:
         scenario = make_scenario(formula)
         self.options, self.script = options, make_script(scenario, make_plan(scenario, impacts))
-        self.progress = make_progress(self.script, 3)
+        self.progress, self.program = make_progress(self.script, 3), make_program()
         start_world(self.script, self.progress, options, K)
-        self.strike, self.clock = self.progress.strike[K, 0], self.progress.clock[K]
+        self.strike, self.clock = self.progress.strike[K, 0], self.progress.clock[K, : len(impacts)]
         if hit:
             self.progress.touch[K] = NOBODY
             self.progress.touch[K, SNAP] = POP
@@ -113,7 +117,7 @@ class Loop:
 
     def look(self, now: float) -> None:
         self.progress.time[K] = now
-        look_ahead(self.script, self.progress, self.options, K, now)
+        look_ahead(self.script, self.progress, self.options, self.program, 0, K, now)
 
 
 def fly(loop: Loop, vx: float, vy: float = 0.0, now: float = HIT + SETTLE) -> Loop:
@@ -183,8 +187,8 @@ def test_variants_without_retiming_keep_the_planned_times(variant: str) -> None:
 def test_time_is_left_for_all_later_impacts() -> None:
     loop = Loop()
     last = HORIZON * (1 - RESERVE_SHARE)
-    assert compute_reserve(loop.script, 2) == last
-    assert compute_reserve(loop.script, 1) == pytest.approx(last - 1.5 / CRUISE)
+    assert compute_reserve(loop.script, loop.progress, K, 2) == last
+    assert compute_reserve(loop.script, loop.progress, K, 1) == pytest.approx(last - 1.5 / CRUISE)
     slow = fly(Loop(options=VARIANTS["with_retiming"]), 0.01)
     assert slow.strike[TIME] <= last - 1.5 / CRUISE + 1e-9
 
@@ -227,15 +231,37 @@ def test_object_on_its_way_out_is_hit_once_more_from_the_right_side(vy: float, a
     place = np.array([1.0, 0.0]) + (strike[TIME] - HIT) * np.array([0.1, vy])
     robot = loop.progress.filter[K, agent, :2]
     assert (place - robot) @ normal / np.linalg.norm(place - robot) > SIDE
-    assert is_reachable(loop.script, loop.progress, K, agent, *(place - 0.4 * normal), 0.1, vy, strike[TIME] - now)
+    velocity, gain = np.array([0.1, vy]), compute_pair_gain(loop.progress, K, agent, 0)
+    change = math.hypot(*((np.array([3.0, 0.0]) - place) / (loop.clock[1] - strike[TIME]) - velocity))
+    minus = velocity + change / gain * normal  # the robot's at the impact
+    assert is_reachable(loop.script, loop.progress, K, agent, *(place - 0.4 * normal), *minus, strike[TIME] - now)
 
 
-@pytest.mark.parametrize(("vy", "inserted"), [(0.03, 0), (0.1, 1)])
+@pytest.mark.parametrize(("vy", "inserted"), [(0.03, 0), (0.06, 1)])
 def test_earlier_impact_is_preferred_to_one_more(vy: float, inserted: int) -> None:
-    """At 30 mm/s the object can be hit before it leaves the band, at 100 mm/s its robot would come too late."""
+    """At 30 mm/s the object can be hit before it leaves the band, at 60 mm/s its robot would come too late."""
     loop = fly(Loop(), 0.1, vy)
     assert loop.count("retimed") == 1
     assert loop.count("inserted") == inserted
+    assert loop.count("stranded") == 0
+    assert loop.progress.wanted[K] == math.inf
+
+
+def test_new_plan_is_wanted_where_no_robot_can_hit_the_object_once_more_for_long() -> None:
+    """At 200 mm/s the object has passed both robots before one of them is as fast."""
+    loop, begin = Loop(), HIT + SETTLE
+    for since in np.arange(0.0, LONG_ASTRAY + 2.0, 0.5):
+        fly(loop, 0.1, 0.2, now=begin + since)
+        assert loop.count("stranded") == (since >= LONG_ASTRAY)
+        assert loop.progress.wanted[K] == (begin + LONG_ASTRAY if since >= LONG_ASTRAY else math.inf)
+    assert loop.count("inserted") == 0
+
+
+def test_object_that_came_back_in_between_was_not_astray_for_long() -> None:
+    loop, begin = Loop(), HIT + SETTLE
+    for since in np.arange(0.0, LONG_ASTRAY + 1.0, 0.5):
+        fly(loop, 0.1, 0.0 if since == 2.0 else 0.2, now=begin + since)
+    assert loop.count("stranded") == 0
 
 
 def test_only_robots_that_can_be_there_in_time_hit_once_more() -> None:

@@ -24,7 +24,7 @@ from planners.free_flyer.aim import (
     find_share,
     hasten,
 )
-from planners.free_flyer.course import IMPACT, STOP, read_clock
+from planners.free_flyer.course import IMPACT, STOP, UNTIL, evaluate_course, read_clock
 from planners.free_flyer.options import EXPERT, VARIANTS, Options
 from planners.free_flyer.pair_estimate import NOW, compute_gain_spread, compute_pair_gain, find_row
 from planners.free_flyer.pilot import control_world, should_replan, start_world
@@ -60,11 +60,13 @@ from planners.free_flyer.progress import (
     find_strike,
     make_progress,
 )
-from planners.free_flyer.replanner import replan
+from planners.free_flyer.replanner import QUICK, STEADY, STEADY_WAY, replan
 from planners.free_flyer.script import DEPTH, END, make_script
 from planners.free_flyer.strike import (
     DECISION_LEAD,
     DECISION_SETTLE,
+    FAST,
+    HASTE,
     PATIENCE,
     RETRIES,
     RETRY_IN,
@@ -131,7 +133,8 @@ class Loop:
         self.options, self.script = options, make_script(scenario.as_believed(), plan)
         self.progress = make_progress(self.script, 3)
         start_world(self.script, self.progress, options, K)
-        self.strike, self.hit, self.clock = self.progress.strike[K], self.progress.hit[K], self.progress.clock[K]
+        self.strike, self.hit = self.progress.strike[K], self.progress.hit[K]
+        self.clock = self.progress.clock[K, : len(self.script.impact)]
 
     def count(self, name: str) -> int:
         return int(self.progress.counts[K, COUNTERS.index(name)])
@@ -291,10 +294,32 @@ def test_later_impacts_stay_in_their_windows() -> None:
     np.testing.assert_allclose(loop.clock[:2], [24, 35])
 
 
-def test_what_has_a_window_is_expected_in_its_first_half() -> None:
-    scenario = make_scenario("F[8,10] pop.x >= 0.9")
-    assert Loop(scenario, make_plan(scenario, (10, "snap", "pop"))).strike[0, TIME] == 9.0
-    assert Loop(scenario, make_plan(scenario, (8.5, "snap", "pop"))).strike[0, TIME] == 8.5
+@pytest.mark.parametrize("time", [8.5, 10.0])
+def test_first_impact_is_expected_as_planned_in_its_window(time: float) -> None:
+    scenario = make_scenario("F[8,10] pop.x >= 0.8")
+    assert Loop(scenario, make_plan(scenario, (time, "snap", "pop"))).strike[0, TIME] == time
+
+
+@pytest.mark.parametrize(
+    ("opens", "closes", "way", "expected"),
+    [
+        (20, 32, 2.1, 10 + HASTE * 22),
+        (28, 32, 2.1, 28),  # not before the window opens
+        (20, 32, 4.0, 10 + 4.0 / FAST),  # no faster than that
+        (20, 32, 9.0, 31),  # nor later than planned
+        (20, 60, 2.1, 31),
+        (20, 100, 2.1, 31),  # closes with the task
+    ],
+)
+def test_flight_into_a_closing_window_is_begun_fast_enough_for_a_weak_throw(
+    opens: float, closes: float, way: float, expected: float
+) -> None:
+    """The object is planned to be hit at 10 s and, that far away, at 31 s."""
+    scenario = make_scenario(f"F[{opens},{closes}] pop.x >= 3")
+    plan = make_plan(scenario, (10, "snap", "pop"), (31, "crackle", "pop"))
+    second = replace(plan.impacts[1], position=np.array([1.0 + way, 0.0]))
+    loop = Loop(scenario, replace(plan, impacts=(plan.impacts[0], second)))
+    np.testing.assert_allclose(loop.clock, [10, expected])
 
 
 def test_missed_impact_is_tried_again_then_given_up(loop: Loop) -> None:
@@ -502,6 +527,20 @@ def test_replan_leads_the_robot_behind_the_object_with_the_speed_that_is_needed(
     loop.progress.pair[K, NOW, find_row(loop.progress, SNAP, 0), 0] = 0.4
     replan(loop.script, loop.progress, EXPERT, K, SNAP, 0, 2.0)
     np.testing.assert_allclose(loop.strike[0, minus], np.linalg.norm(wish) / 0.7 * normal, atol=1e-12)
+
+
+@pytest.mark.parametrize(("speed", "steady"), [(0.01, STEADY), (0.02, STEADY_WAY / 0.02 - QUICK), (0.1, 0.0)])
+def test_gentle_hit_comes_at_constant_speed(loop: Loop, speed: float, steady: float) -> None:
+    """The object rests so far from its next place that it needs 0.9 times that approach speed."""
+    loop.see(POP, (3.0 - 0.9 * speed * 20.0, 0.0), (0.0, 0.0), 2.0)
+    loop.see(SNAP, (0.0, 0.5), (0.0, 0.0), 2.0)  # where its plan rests
+    replan(loop.script, loop.progress, EXPERT, K, SNAP, 0, 2.0)
+    course, contact = loop.progress.course, loop.strike[0, [CONTACT_X, CONTACT_Y]]
+    assert loop.count("lost") == 0
+    assert course[K, SNAP, UNTIL] == pytest.approx(10.0 - steady)
+    for ahead in np.linspace(0.0, steady, 5):
+        motion = evaluate_course(course, loop.script.breaks, loop.script.coefficients, K, SNAP, 10.0 - ahead)
+        np.testing.assert_allclose(motion[:4], [contact[0] - ahead * speed, contact[1], speed, 0.0], atol=1e-9)
 
 
 def test_robot_that_was_lost_starts_from_where_it_is(loop: Loop) -> None:
