@@ -94,10 +94,11 @@ def get_options(variant: str | None) -> Options:
 class FreeFlyerExpert:
     """Execute a plan in closed loop: a Policy that also takes a correction of every impulse.
 
-    Per control step: estimate; after a contact return to the plan and learn what the impact did; move the next impact
-    to when the object will be where it should be hit, or insert one; in the last 20 s before an impact replan the
-    course to it from the predicted object; track by MPC. Everything is computed from the believed physics, the plan
-    and observations. One world of `loop.run_experts`.
+    Per control step: estimate; after a contact return to the plan, learn what the impact did and optimise what is left
+    of the plan anew; move the next impact to when the object will be where it should be hit, or insert one; where that
+    fails, ask for a new plan in the background; in the last 20 s before an impact replan the course to it from the
+    predicted object; track by MPC. Everything is computed from the believed physics, the plan and observations. One
+    world of `loop.run_experts`.
 
     Args:
         scenario: its true physics are not looked at.
