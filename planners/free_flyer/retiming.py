@@ -74,7 +74,8 @@ SAFE_DEVIATIONS = 0.5  # and so many standard deviations less,
 DEVIATIONS = 1.0
 SHALLOW = 0.3  # or, after the last impact, for ending less deep than this share of the plan's margin
 MOST_INSERTED = 4
-LONG_ASTRAY = 5.0  # without a robot that could mend it, until a new plan is wanted [s]
+LONG_ASTRAY = 5.0  # without a robot that could mend it, until a new plan is wanted [s],
+SOON = 2.0  # or this if what is left of the plan has no optimum
 LEADS = (6.0, 7.0, 9.0, 5.0, 4.0, 12.0, 15.0, 20.0)  # from now to an inserted impact [s]
 HASTES = (1.0, 0.7, 0.5)  # of the flight after it, by which its direction comes nearer to the flight's
 LEAST_LEG = 3.0  # after an inserted impact [s]
@@ -103,7 +104,8 @@ def look_ahead(
                 set_clocks(script, progress, k, now)
             else:
                 progress.counts[k, NO_OPTIMUM] += 1
-                progress.wanted[k] = min(progress.wanted[k], now)
+                # Its rows are on the safe side: a new plan is wanted if the flight does go astray, but sooner.
+                strike[ASTRAY] = min(strike[ASTRAY], now - LONG_ASTRAY + SOON)
         if options.retime and strike[LAST] > 0.0 and strike[IMPACT_INDEX] != END and now <= strike[TIME] - FROZEN:
             retime(script, progress, k, o, now)
         if options.insert and strike[LAST] > 0.0:

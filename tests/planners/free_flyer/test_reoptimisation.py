@@ -18,6 +18,7 @@ from planners.errors import Infeasible
 from planners.free_flyer.options import EXPERT
 from planners.free_flyer.pilot import start_world
 from planners.free_flyer.progress import (
+    ASTRAY,
     COUNTERS,
     IMPACT_INDEX,
     INSERTED,
@@ -45,7 +46,7 @@ from planners.free_flyer.reoptimisation import (
     make_program,
     reoptimise,
 )
-from planners.free_flyer.retiming import look_ahead
+from planners.free_flyer.retiming import LONG_ASTRAY, SOON, look_ahead
 from planners.free_flyer.script import AT, CLOSE, DEPTH, END, FACES, NEXT, NORMAL_X, OPEN, ROBOT, make_script
 from planners.free_flyer.strike import SETTLE, take_contact
 from planners.plan import Plan, PlannedImpact
@@ -465,23 +466,15 @@ def look(loop: Loop, now: float) -> None:
     look_ahead(loop.script, loop.progress, ONLY, loop.program, C, K, now)
 
 
-def test_no_optimum_is_counted_once_per_impact_and_a_new_plan_is_wanted() -> None:
+def test_no_optimum_is_counted_once_per_impact_and_a_flight_astray_asks_sooner_for_a_new_plan() -> None:
     loop = far_robot()
     clocks = loop.clock.copy()
     for step in range(20):
         look(loop, NOW + 0.1 * step)
     assert (loop.count("no_optimum"), loop.count("reoptimised")) == (1, 0)
-    assert loop.progress.wanted.tolist() == [np.inf, NOW, np.inf]
+    assert (loop.progress.wanted == np.inf).all()
+    assert loop.strike[0, ASTRAY] == pytest.approx(NOW - LONG_ASTRAY + SOON)
     np.testing.assert_array_equal(loop.clock, clocks)
-
-
-def test_what_was_asked_before_is_not_asked_again() -> None:
-    for wanted in (-np.inf, NOW - 5.0):
-        loop = far_robot()
-        loop.progress.wanted[K] = wanted
-        look(loop, NOW)
-        assert loop.count("no_optimum") == 1
-        assert loop.progress.wanted[K] == wanted
 
 
 def test_optimised_once_after_every_contact_when_the_flight_is_known() -> None:
