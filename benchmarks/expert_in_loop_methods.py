@@ -13,21 +13,21 @@ from impact_envs.compiled import compiled
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.errors import SolverFailed
-from planners.free_flyer.aim import ROUND_OFF
-from planners.free_flyer.casadi_tracking import (
+from planners.free_flyer.belief.options import Options
+from planners.free_flyer.belief.plan_table import END
+from planners.free_flyer.belief.world_memory import INSERTED, TIME, find_next_event, find_strike
+from planners.free_flyer.closed_loop.tracker import fill_reference
+from planners.free_flyer.expert import FreeFlyerExpert
+from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
+from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF
+from planners.free_flyer.tracking.casadi_mpc import (
     build_casadi_tracking,
     build_published_tracking,
     has_fatrop,
     solve_casadi_tracking,
     solve_published_tracking,
 )
-from planners.free_flyer.expert import FreeFlyerExpert
-from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
-from planners.free_flyer.options import Options
-from planners.free_flyer.progress import INSERTED, TIME, find_next_event, find_strike
-from planners.free_flyer.reference_tracking import fill_reference
-from planners.free_flyer.script import END
-from planners.free_flyer.tracking import (
+from planners.free_flyer.tracking.mpc import (
     NO_JUMP,
     TrackingProblem,
     Workspace,

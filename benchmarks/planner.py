@@ -32,7 +32,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import load_scenario
 from planners import make_plan
 from planners.errors import PlanningError
-from planners.free_flyer.bezier_milp import make_bezier_plan
+from planners.free_flyer.published.encoding import make_bezier_plan
 from planners.solvers import PACKAGES, installed_solvers
 
 SCENARIOS = ("throw_and_catch", "corridor", "pong", "pingpong", "obstacle_avoidance")

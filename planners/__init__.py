@@ -28,8 +28,8 @@ __all__ = [
 # Planners by objective and expert of each domain, loaded with their solvers when first used.
 PLANNERS = {
     "free_flyer": {
-        "robustness": ("planners.free_flyer.event_milp", "make_free_flyer_plan"),
-        "impact_uncertainty": ("planners.free_flyer.impact_robust", "make_impact_robust_plan"),
+        "robustness": ("planners.free_flyer.nominal.planner", "make_free_flyer_plan"),
+        "impact_uncertainty": ("planners.free_flyer.robust.planner", "make_impact_robust_plan"),
     }
 }
 EXPERTS = {

@@ -25,7 +25,7 @@ from impact_envs.drawing import mix
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.rollout import Episode
-from planners.free_flyer.progress import COUNTERS
+from planners.free_flyer.belief.world_memory import COUNTERS
 from planners.plan import Plan
 from train.flight_record import SIGNALS, FlightRecord, Hit, convert_episode, list_hits, list_others, locate
 from train.plan_map import Style, choose_styles, draw_map, hex_color, list_curves, sample_curve, star

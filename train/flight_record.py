@@ -11,10 +11,10 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.physics.impact import Impact
 from impact_envs.rollout import Episode, Policy
 from planners.bezier import Curve
-from planners.free_flyer.course import SINCE, UNTIL, evaluate_course
-from planners.free_flyer.estimator import extrapolate
+from planners.free_flyer.belief.estimator import extrapolate
+from planners.free_flyer.belief.world_memory import AGENT, COUNTERS, REPLANNED, TIME
 from planners.free_flyer.expert import FreeFlyerExpert
-from planners.free_flyer.progress import AGENT, COUNTERS, REPLANNED, TIME
+from planners.free_flyer.tracking.course import SINCE, UNTIL, evaluate_course
 from planners.plan import Plan, PlannedImpact
 
 WAY = 9  # samples of a way that a replan counts on

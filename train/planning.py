@@ -97,7 +97,7 @@ class Plan:
         if self.csv:
             _write_samples(plan, scenario.control_period, self.csv)
         if self.published:
-            from planners.free_flyer.published import write_published_plan
+            from planners.free_flyer.published.plan_file import write_published_plan
 
             write_published_plan(plan, self.published, scenario.name)
         if self.plot:
@@ -106,7 +106,7 @@ class Plan:
             save_plan_picture(scenario, plan, self.plot)
 
     def _plan_by_bezier(self, scenario: Any) -> dict[str, Any]:
-        from planners.free_flyer.bezier_milp import make_bezier_plan
+        from planners.free_flyer.published.encoding import make_bezier_plan
 
         plan = make_bezier_plan(
             scenario.as_believed(), max_impacts=self.max_impacts, time_limit=self.time_limit, solver=self.solver
@@ -151,8 +151,8 @@ def load_plan(path: Path | None, scenario: Any) -> StoredPlan | None:
 
     check_planned(scenario)
     if path.is_dir():
-        from planners.free_flyer.published import read_published_plan
-        from planners.free_flyer.published_conversion import convert_published_plan
+        from planners.free_flyer.published.conversion import convert_published_plan
+        from planners.free_flyer.published.plan_file import read_published_plan
 
         return convert_published_plan(read_published_plan(path), scenario)
     from planners.plan import Plan as StoredPlan

@@ -14,7 +14,7 @@ from impact_envs.stl import stepper
 from impact_envs.stl.formula import Formula
 from impact_envs.stl.margin import AreaLike, AreaMargin, LinearMargin, Range, combine_ranges
 from impact_envs.stl.monitor import Monitor
-from impact_envs.stl.normal_form import Combination, Operator, Term, compute_range, is_state, make_term
+from impact_envs.stl.term import Combination, Operator, Term, compute_range, is_state, make_term
 
 LONGEST = 2**31 - 1  # samples, the greatest int32
 

@@ -14,13 +14,11 @@ from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, observed_order
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.rollout import Diagnostics
-from planners.free_flyer.aim import aim, find_next_knot
-from planners.free_flyer.background import Background
-from planners.free_flyer.estimator import extrapolate
-from planners.free_flyer.loop import ADOPT, CONTROL, OBSERVE, START, run_experts
-from planners.free_flyer.options import EXPERT, VARIANTS, Options
-from planners.free_flyer.pair_estimate import NOW, compute_gain_spread, compute_pair_gain, find_row, get_pair
-from planners.free_flyer.progress import (
+from planners.free_flyer.belief.estimator import extrapolate
+from planners.free_flyer.belief.impact_parameters import NOW, compute_gain_spread, compute_pair_gain, find_row, get_pair
+from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options
+from planners.free_flyer.belief.plan_table import END, MASS, PLACE_X, PLACE_Y, ROBOT, make_script
+from planners.free_flyer.belief.world_memory import (
     AGENT,
     COUNTERS,
     IMPACT_INDEX,
@@ -32,10 +30,12 @@ from planners.free_flyer.progress import (
     TURN,
     make_progress,
 )
-from planners.free_flyer.reoptimisation import make_program
-from planners.free_flyer.script import END, MASS, PLACE_X, PLACE_Y, ROBOT, make_script
-from planners.free_flyer.tracking import make_workspace
-from planners.free_flyer.two_body import compute_velocity_gain
+from planners.free_flyer.closed_loop.background import Background
+from planners.free_flyer.closed_loop.world_loop import ADOPT, CONTROL, OBSERVE, START, run_experts
+from planners.free_flyer.impact_law import compute_velocity_gain
+from planners.free_flyer.next_impact.desired_velocity import aim, find_next_knot
+from planners.free_flyer.next_impact.reoptimisation import make_program
+from planners.free_flyer.tracking.mpc import make_workspace
 from planners.plan import Plan
 
 ONE_HOT = 6

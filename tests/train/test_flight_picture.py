@@ -20,7 +20,7 @@ from impact_envs.physics.impact import Impact
 from impact_envs.rollout import Episode, ZeroPolicy, rollout
 from impact_envs.scenario import load_scenario
 from planners import make_expert
-from planners.free_flyer.progress import COUNTERS
+from planners.free_flyer.belief.world_memory import COUNTERS
 from train.cli import main
 from train.flight_picture import draw_flight, save_flight_picture
 from train.flight_record import FlightRecord, convert_episode

@@ -16,12 +16,12 @@ from impact_envs.physics.impact import Impact
 from impact_envs.rollout import Episode
 from planners import list_variants, make_expert, make_plan
 from planners.bezier import Curve
-from planners.free_flyer.aim import DEEP_ENOUGH
-from planners.free_flyer.box_qp import NEWTON_STEPS
+from planners.free_flyer.belief.impact_parameters import compute_pair_gain
+from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options
 from planners.free_flyer.expert import FreeFlyerExpert
-from planners.free_flyer.options import EXPERT, VARIANTS, Options
-from planners.free_flyer.pair_estimate import compute_pair_gain
-from planners.free_flyer.tracking import STAGES
+from planners.free_flyer.next_impact.desired_velocity import DEEP_ENOUGH
+from planners.free_flyer.tracking.box_qp import NEWTON_STEPS
+from planners.free_flyer.tracking.mpc import STAGES
 from planners.plan import Plan, PlannedImpact
 
 SEED = 1_000_000

@@ -11,10 +11,10 @@ from impact_envs import InputError, load_scenario, parallel_env, vector_env
 from impact_envs.env import ImpactEnv
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners import make_plan
+from planners.free_flyer.belief.options import EXPERT
+from planners.free_flyer.belief.world_memory import COUNTERS
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
-from planners.free_flyer.options import EXPERT
-from planners.free_flyer.progress import COUNTERS
 from planners.plan import Plan
 
 SEED = 1_000_000

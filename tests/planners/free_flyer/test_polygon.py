@@ -9,7 +9,7 @@ import pytest
 
 from impact_envs import load_scenario, parallel_env, rollout
 from planners import make_expert, make_plan
-from planners.free_flyer.script import find_central_hits
+from planners.free_flyer.belief.plan_table import find_central_hits
 
 SQUARE = np.array([[0.14, -0.14], [0.14, 0.14], [-0.14, 0.14], [-0.14, -0.14]])
 SEED = 1_000_001

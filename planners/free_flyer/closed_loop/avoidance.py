@@ -1,0 +1,67 @@
+"""Keep robots off bodies that they are not to hit: braking-distance barriers on their acceleration; compiled."""
+
+from __future__ import annotations
+
+import math
+
+from impact_envs.compiled import compiled
+from planners.free_flyer.belief.plan_table import RADIUS, Script
+from planners.free_flyer.belief.world_memory import AVOIDED, Progress
+from planners.free_flyer.tracking.course import IMPACT
+from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT
+
+CLEARANCE = 0.1  # kept between the edges of two bodies [m]
+BRAKING = 0.7  # of the thrust, for each of two robots
+SWEEPS = 3  # over all neighbours
+
+
+@compiled
+def keep_off(
+    script: Script, progress: Progress, k: int, r: int, target: int, ax: float, ay: float
+) -> tuple[float, float, float]:
+    r"""Return the acceleration nearest to a wish with which robot r can still brake before all bodies but its target.
+
+    (v_r - v_j) . n + h a . n <= sqrt(b^2 h^2 + 2 b max(d - d_min, 0)) - b h for each body j, n from robot to body, b
+    the braking acceleration (of both, if both are robots): the row of a barrier, projected onto in turn. What the
+    limits leave of it is slack; a robot that hits is exempt from the object it hits.
+
+    Args:
+        script: who is who.
+        progress: estimates of all worlds.
+        k: world.
+        r: robot.
+        target: body that the robot is on course to hit, or END.
+        ax, ay: wished acceleration [m/s^2].
+
+    Returns:
+        Acceleration [m/s^2], and the greatest slack [m/s].
+
+    Source: Ames et al., Control barrier functions: theory and applications, 2019; braking distance v^2 / (2 b).
+    """
+    h, z = script.period, progress.filter[k, r]
+    most = script.pilot[r, GAIN] * script.pilot[r, INPUT_LIMIT]
+    slack, changed = 0.0, False
+    for _ in range(SWEEPS):
+        slack = 0.0
+        for j in range(len(script.body)):
+            if j in (r, target):
+                continue
+            y = progress.filter[k, j]
+            dx, dy = y[0] - z[0], y[1] - z[1]
+            distance = math.hypot(dx, dy)
+            nx, ny = dx / max(distance, 1e-9), dy / max(distance, 1e-9)
+            room = distance - script.body[r, RADIUS] - script.body[j, RADIUS] - CLEARANCE
+            brake = BRAKING * most
+            if j < script.robots and progress.course[k, j, IMPACT] == 0.0:
+                brake *= 2.0
+            lost = brake * h  # a control period passes before it brakes
+            fastest = math.sqrt(lost * lost + 2.0 * brake * max(room, 0.0)) - lost
+            excess = (z[2] - y[2]) * nx + (z[3] - y[3]) * ny + h * (ax * nx + ay * ny) - fastest
+            if excess > 0.0:
+                slack, changed = max(slack, excess), True
+                ax, ay = ax - excess / h * nx, ay - excess / h * ny
+                size = math.hypot(ax, ay)
+                if size > most:
+                    ax, ay = ax * most / size, ay * most / size
+    progress.counts[k, AVOIDED] += 1 if changed else 0
+    return ax, ay, slack

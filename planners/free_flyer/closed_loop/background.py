@@ -1,0 +1,266 @@
+"""New plans in the background, for worlds whose plan has no future: a process solves, the loop goes on.
+
+A plan is asked for from the state that is expected DELAY later, and taken over then, in simulated time: what an episode
+does does not depend on how fast the machine is, unless the solver comes to its TIME_LIMIT. Where simulated time runs
+faster than the solver, the loop waits.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import queue
+import subprocess
+import sys
+import threading
+from dataclasses import dataclass
+from typing import TextIO, cast
+
+import numpy as np
+
+from impact_envs.errors import InputError
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners.errors import PlanningError
+from planners.free_flyer.belief.estimator import extrapolate
+from planners.free_flyer.belief.plan_table import END, NEXT, Script, make_script
+from planners.free_flyer.belief.world_memory import (
+    IMPACT_INDEX,
+    INSERTED,
+    LAST,
+    NO_PLAN,
+    PAST_PERIOD,
+    PLANNED_ANEW,
+    TIME,
+    Progress,
+)
+from planners.free_flyer.next_impact.bookkeeping import SETTLE
+from planners.free_flyer.nominal.remaining import make_remaining_scenario, plan_rest
+from planners.free_flyer.tracking.course import evaluate_course
+from planners.plan import Plan
+
+DELAY = 2.0  # from asking for a plan to taking it over [s]
+MOST_PLANS = 2  # asked for in an episode
+APART = 8.0  # from the answer to the next question [s]
+LEAST_LEFT = 15.0  # of the horizon [s]
+CALM = 1.0  # before the next impact, when a plan is taken over [s]
+TIME_LIMIT = 6.0  # of the solver, should it take far too long [s]
+
+
+@dataclass(frozen=True)
+class Request:
+    """Hold what a world waits for.
+
+    Attributes:
+        number: of the request.
+        begin: when the plan is taken over [s].
+        scenario: what is left of the task then, in time that starts then.
+    """
+
+    number: int
+    begin: float
+    scenario: FreeFlyerScenario
+
+
+class Background:
+    """Ask for new plans and hand them over, world by world.
+
+    Args:
+        scenario: the whole task, as believed.
+    """
+
+    def __init__(self, scenario: FreeFlyerScenario) -> None:
+        self._scenario = scenario
+        self._pending: dict[int, Request] = {}
+        self._asked: dict[int, int] = {}
+        self._held: dict[int, float] = {}
+        self._answers: dict[int, str | None] = {}
+        self._numbers = self._read = 0
+        self._worker: subprocess.Popen[str] | None = None
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._owner = os.getpid()
+
+    def forget(self, k: int) -> None:
+        """Forget what world k has asked for."""
+        self._pending.pop(k, None)
+        self._asked.pop(k, None)
+        self._held.pop(k, None)
+
+    def look(self, script: Script, progress: Progress, k: int) -> Script | None:
+        """Return a new script for world k to follow from now on, if there is one; ask for one if it is wanted.
+
+        Args:
+            script: what world k follows.
+            progress: of all worlds.
+            k: world.
+        """
+        now, request = float(progress.time[k]), self._pending.get(k)
+        if request is not None:
+            if now < request.begin - 1e-6:
+                return None
+            del self._pending[k]
+            self._hold(k, now)
+            return self._take(progress, k, request)
+        if now >= self._held.get(k, math.inf):
+            del self._held[k]
+            progress.wanted[k] = math.inf
+        elif 0.0 <= progress.wanted[k] <= now and _is_calm(progress, k, now):
+            # Nothing is wanted until the answer has had its time.
+            progress.wanted[k] = -math.inf
+            if script.horizon - now >= LEAST_LEFT:
+                self._ask(script, progress, k, now)
+        return None
+
+    @property
+    def pending(self) -> bool:
+        """Return whether any world has asked for a plan."""
+        return bool(self._asked)
+
+    def find_busy(self, progress: Progress) -> np.ndarray:
+        """Return the worlds that `look` may do something for."""
+        busy = (progress.wanted >= 0.0) & (progress.wanted <= progress.time)
+        busy[[*self._pending, *self._held]] = True
+        return np.flatnonzero(busy)
+
+    def close(self) -> None:
+        """End the process."""
+        if self._worker is not None and self._owner == os.getpid():
+            self._worker.kill()
+            self._worker.wait()
+            for pipe in (self._worker.stdin, self._worker.stdout):
+                with contextlib.suppress(OSError, ValueError):
+                    cast(TextIO, pipe).close()
+            self._worker = None
+
+    __del__ = close
+
+    def _hold(self, k: int, now: float) -> None:
+        if self._asked[k] < MOST_PLANS:
+            self._held[k] = now + APART
+
+    def _ask(self, script: Script, progress: Progress, k: int, now: float) -> None:
+        self._asked[k] = self._asked.get(k, 0) + 1
+        begin = round(round((now + DELAY) / script.period) * script.period, 9)
+        try:
+            rest = self._make_rest(script, progress, k, now, begin)
+        except InputError:
+            progress.counts[k, NO_PLAN] += 1
+            self._hold(k, now)
+            return
+        self._numbers += 1
+        self._pending[k] = Request(self._numbers, begin, rest)
+        data = {
+            "number": self._numbers,
+            "scenario": rest.model_dump(mode="json"),
+            "impacts": _count_impacts(script, progress, k),
+        }
+        stdin = self._reach_worker()
+        try:
+            stdin.write(json.dumps(data) + "\n")
+            stdin.flush()
+        except OSError:  # no worker any more; its answer will be missed
+            self.close()
+
+    def _make_rest(self, script: Script, progress: Progress, k: int, now: float, begin: float) -> FreeFlyerScenario:
+        """Make the scenario that will be left: objects fly on, robots follow their courses."""
+        positions, velocities = {}, {}
+        for i, name in enumerate(self._scenario.bodies):
+            if i < script.robots:
+                motion = evaluate_course(progress.course, script.breaks, script.coefficients, k, i, begin)[:4]
+            else:
+                motion = extrapolate(progress, k, i, begin)
+            positions[name], velocities[name] = np.array(motion[:2]), np.array(motion[2:])
+        seen = int(now / PAST_PERIOD + 1e-6) + 1
+        times = np.append(PAST_PERIOD * np.arange(seen), begin)
+        tracks = {
+            name: np.vstack([progress.past[k, :seen, i], positions[name]])
+            for i, name in enumerate(self._scenario.bodies)
+        }
+        return make_remaining_scenario(self._scenario, begin, positions, velocities, (times, tracks))
+
+    def _take(self, progress: Progress, k: int, request: Request) -> Script | None:
+        answer = self._await(request.number)
+        if answer is None:
+            progress.counts[k, NO_PLAN] += 1
+            return None
+        script = make_script(request.scenario, Plan.from_json(answer), request.begin)
+        if len(script.impact) > progress.clock.shape[1]:
+            progress.counts[k, NO_PLAN] += 1
+            return None
+        progress.counts[k, PLANNED_ANEW] += 1
+        return script
+
+    def _await(self, number: int) -> str | None:
+        """Return the plan that answers a request, None if there is none."""
+        while self._read < number and self._owner == os.getpid():  # answers come in the order of the questions
+            try:
+                answer = json.loads(self._lines.get())
+            except ValueError:  # the worker ended, in the middle of a line maybe: what it was asked is lost
+                self._read = self._numbers
+                self.close()
+                break
+            self._read = answer["number"]
+            if self._read in {number, *(request.number for request in self._pending.values())}:
+                self._answers[self._read] = answer["plan"]
+        return self._answers.pop(number, None)
+
+    def _reach_worker(self) -> TextIO:
+        """Return where the worker takes questions; start it, and a thread that takes its answers, if there is none."""
+        if self._owner != os.getpid():  # forked: the worker belongs to the parent
+            self._worker, self._owner = None, os.getpid()
+        if self._worker is None or self._worker.poll() is not None:
+            self._worker = subprocess.Popen(
+                [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            )
+            self._lines = queue.SimpleQueue()
+            threading.Thread(target=_forward, args=(self._worker.stdout, self._lines), daemon=True).start()
+        return cast(TextIO, self._worker.stdin)
+
+
+def _forward(answers: TextIO, lines: queue.SimpleQueue[str]) -> None:
+    """Take a worker's answers as they come, so that neither side waits for the other; an empty line is the end."""
+    try:
+        for line in answers:
+            lines.put(line)
+    except ValueError:  # closed
+        pass
+    lines.put("")
+
+
+def _is_calm(progress: Progress, k: int, now: float) -> bool:
+    """Return whether no impact is near, before or after a new plan is taken over."""
+    strike = progress.strike[k]
+    coming = strike[(strike[:, IMPACT_INDEX] != END) | (strike[:, INSERTED] > 0.0)]
+    return bool((coming[:, TIME] > now + DELAY + CALM).all() and (now >= strike[:, LAST] + SETTLE).all())
+
+
+def _count_impacts(script: Script, progress: Progress, k: int) -> int:
+    left = 0
+    for o in range(len(script.first)):
+        at = int(progress.strike[k, o, IMPACT_INDEX])
+        while at != END:
+            at, left = int(script.impact[at, NEXT]), left + 1
+    return left
+
+
+def answer_requests(requests: TextIO, answers: TextIO) -> None:
+    """Plan what is asked for, line by line, until there is no more.
+
+    Args:
+        requests: lines {"number", "scenario", "impacts"} of JSON.
+        answers: lines {"number", "plan"}, plan as JSON text or null.
+    """
+    for line in requests:
+        request = json.loads(line)
+        try:
+            scenario = FreeFlyerScenario.model_validate(request["scenario"])
+            plan = plan_rest(scenario, request["impacts"], TIME_LIMIT).to_json()
+        except (PlanningError, InputError):
+            plan = None
+        answers.write(json.dumps({"number": request["number"], "plan": plan}) + "\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    answer_requests(sys.stdin, sys.stdout)

@@ -1,0 +1,242 @@
+"""One control period of one world, compiled: observe, look ahead, replan the courses to the impacts, track them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from impact_envs.compiled import compiled
+from impact_envs.free_flyer.sensing import BODY_SIZE
+from planners.free_flyer.belief.estimator import open_filters, update_estimates
+from planners.free_flyer.belief.options import Options
+from planners.free_flyer.belief.plan_table import (
+    END,
+    Script,
+)
+from planners.free_flyer.belief.world_memory import (
+    ASTRAY,
+    DECIDED,
+    IMPACT_INDEX,
+    INSERTED,
+    LAST,
+    LOOKED,
+    NO_OPTIMUM,
+    NOBODY,
+    OPTIMISED,
+    PAST_PERIOD,
+    REOPTIMISED,
+    REPLANNED,
+    TIME,
+    Progress,
+    find_next_event,
+    find_strike,
+)
+from planners.free_flyer.closed_loop.tracker import track
+from planners.free_flyer.next_impact.bookkeeping import (
+    REPLAN_LAST,
+    REPLAN_PERIOD,
+    SETTLE,
+    find_due,
+    forget_hits,
+    go_back,
+    learn_from_hits,
+    remember_before,
+    set_clocks,
+    start_strikes,
+    take_contact,
+    take_misses,
+)
+from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF
+from planners.free_flyer.next_impact.insertion import LONG_ASTRAY, SOON, insert
+from planners.free_flyer.next_impact.reoptimisation import Program, reoptimise
+from planners.free_flyer.next_impact.replanner import replan
+from planners.free_flyer.next_impact.retiming import FROZEN, retime
+from planners.free_flyer.tracking.course import IMPACT
+from planners.free_flyer.tracking.mpc import STAGES, Workspace
+
+# What to do with the worlds.
+START, OBSERVE, CONTROL, ACT, ADOPT = range(5)
+REPLAN_WINDOW = 20.0  # before an impact [s]
+
+
+@compiled
+def start_world(script: Script, progress: Progress, options: Options, k: int) -> None:
+    """Forget the last episode of world k."""
+    progress.time[k] = 0.0
+    open_filters(script, progress, options, k)
+    forget_hits(script, progress, k)
+    start_strikes(script, progress, k, 0.0)
+    progress.wanted[k] = math.inf
+    for i in range(progress.counts.shape[1]):
+        progress.counts[k, i] = 0
+    for r in range(script.robots):
+        progress.push[k, r, 0] = progress.push[k, r, 1] = 0.0
+        progress.shifted[k, r, 3 * STAGES] = 0.0
+        for i in range(progress.course.shape[2]):
+            progress.course[k, r, i] = 0.0
+    set_clocks(script, progress, k, 0.0)
+
+
+@compiled
+def adopt_world(script: Script, progress: Progress, k: int) -> None:
+    """Let world k follow a new script from now on; what was learned of its objects stays."""
+    now = progress.time[k]
+    start_strikes(script, progress, k, now)
+    for r in range(script.robots):
+        go_back(script, progress, k, r, now, now)
+
+
+@compiled
+def observe_world(
+    script: Script, progress: Progress, options: Options, program: Program, c: int, k: int, joint: np.ndarray
+) -> int:
+    """Update the estimates, take note of contacts and missed impacts, look ahead.
+
+    Args:
+        script: what is followed.
+        progress: of all worlds.
+        options: which parts of the loop are on.
+        program: of all threads.
+        c: thread.
+        k: world.
+        joint: everything measured once, shape (N, 7 n + r + 3).
+
+    Returns:
+        The object whose coming impact's correction is due, or END.
+    """
+    now = joint[k, BODY_SIZE * len(script.body) + script.robots] * script.horizon
+    if not math.isfinite(now):
+        now = progress.time[k] + script.period
+    remember_before(script, progress, k)
+    update_estimates(script, progress, k, joint, now)
+    for r in range(script.robots):
+        if progress.touch[k, r] != NOBODY:
+            take_contact(script, progress, k, r, now)
+    take_misses(script, progress, options, k, now)
+    learn_from_hits(script, progress, options, k, now)
+    look_ahead(script, progress, options, program, c, k, now)
+    remember_positions(script, progress, k, now)
+    return find_due(script, progress, k, now)
+
+
+@compiled
+def remember_positions(script: Script, progress: Progress, k: int, now: float) -> None:
+    """Keep where the bodies of world k are seen, every half second."""
+    at = int(now / PAST_PERIOD + ROUND_OFF)
+    if at < progress.past.shape[1] and now - at * PAST_PERIOD < script.period - ROUND_OFF:
+        for i in range(progress.past.shape[2]):
+            progress.past[k, at, i, 0], progress.past[k, at, i, 1] = progress.filter[k, i, 0], progress.filter[k, i, 1]
+
+
+@compiled
+def control_world(
+    script: Script, progress: Progress, options: Options, workspace: Workspace, c: int, k: int, actions: np.ndarray
+) -> None:
+    """Replan where it is time to, and write each robot's action.
+
+    Args:
+        script: what is followed.
+        progress: of all worlds.
+        options: which parts of the loop are on.
+        workspace: of all threads.
+        c: thread.
+        k: world.
+        actions: body-frame forces and torque over their limits, written, shape (N, r, 3).
+    """
+    now = progress.time[k]
+    due = find_due(script, progress, k, now)
+    while due != END:
+        progress.strike[k, due, DECIDED] = 1.0
+        if not options.once:
+            progress.strike[k, due, REPLANNED] = -math.inf
+        due = find_due(script, progress, k, now)
+    for r in range(script.robots):
+        o = find_strike(progress, k, r)
+        if o != END:
+            strike = progress.strike[k, o]
+            event, _, _ = find_next_event(script, progress, k, r)
+            if strike[INSERTED] == 0.0 and strike[TIME] > event + ROUND_OFF:
+                o = END
+            elif should_replan(progress, options, k, r, o, now):
+                replan(script, progress, options, k, r, o, now)
+        track(script, progress, options, workspace, c, k, r, o, actions)
+
+
+@compiled
+def should_replan(progress: Progress, options: Options, k: int, r: int, o: int, now: float) -> bool:
+    """Return whether the course of robot r to its impact on object o is to be planned anew."""
+    strike = progress.strike[k, o]
+    time = strike[TIME]
+    settled = now >= strike[LAST] + SETTLE - ROUND_OFF
+    near = time - REPLAN_WINDOW <= now + ROUND_OFF or progress.course[k, r, IMPACT] > 0.0
+    due = strike[REPLANNED] == -math.inf if options.once else now >= strike[REPLANNED] + REPLAN_PERIOD - ROUND_OFF
+    return settled and near and due and now <= time - REPLAN_LAST + ROUND_OFF
+
+
+@compiled
+def look_ahead(
+    script: Script, progress: Progress, options: Options, program: Program, c: int, k: int, now: float
+) -> None:
+    """Move or insert the coming impacts of world k, where options say so and the objects' flight is known."""
+    for o in range(len(script.first)):
+        strike = progress.strike[k, o]
+        settled = now >= strike[LAST] + SETTLE - ROUND_OFF
+        if not settled or strike[INSERTED] > 0.0 or now < strike[LOOKED] + REPLAN_PERIOD - ROUND_OFF:
+            continue
+        strike[LOOKED] = now
+        if options.reoptimise and strike[LAST] > strike[OPTIMISED] and strike[IMPACT_INDEX] != END:
+            strike[OPTIMISED] = now
+            if reoptimise(script, progress, program, c, k, o, now):
+                progress.counts[k, REOPTIMISED] += 1
+                set_clocks(script, progress, k, now)
+            else:
+                progress.counts[k, NO_OPTIMUM] += 1
+                # Its rows are on the safe side: a new plan is wanted if the flight does go astray, but sooner.
+                strike[ASTRAY] = min(strike[ASTRAY], now - LONG_ASTRAY + SOON)
+        if options.retime and strike[LAST] > 0.0 and strike[IMPACT_INDEX] != END and now <= strike[TIME] - FROZEN:
+            retime(script, progress, k, o, now)
+        if options.insert and strike[LAST] > 0.0:
+            insert(script, progress, options, k, o, now)
+
+
+@compiled
+def run_experts(
+    script: tuple,
+    progress: tuple,
+    options: tuple,
+    workspace: tuple,
+    program: tuple,
+    joint: np.ndarray,
+    actions: np.ndarray,
+    due: np.ndarray,
+    phase: int,
+    c: int,
+    first: int,
+    end: int,
+) -> None:
+    """Start, observe or control the worlds from first to before end; plain tuples pass three times faster from Python.
+
+    Args:
+        script, progress, options, workspace, program: the fields of Script, Progress, Options, Workspace, Program.
+        joint: everything measured once, shape (N, 7 n + r + 3).
+        actions: written by CONTROL and ACT, shape (N, r, 3).
+        due: object whose coming impact's correction is due, or END, written by START and OBSERVE, shape (N,).
+        phase: START, OBSERVE, CONTROL; ACT: observe and control, and start where time is 0; ADOPT: go on with a new
+            script.
+        c: thread.
+        first, end: range of worlds.
+    """
+    script_, progress_ = Script(*script), Progress(*progress)
+    options_, workspace_, program_ = Options(*options), Workspace(*workspace), Program(*program)
+    clock = joint.shape[1] - 3
+    for k in range(first, end):
+        if phase == START or (phase == ACT and joint[k, clock] == 0.0):
+            start_world(script_, progress_, options_, k)
+            due[k] = END
+        if phase == ADOPT:
+            adopt_world(script_, progress_, k)
+        if phase in (OBSERVE, ACT):
+            due[k] = observe_world(script_, progress_, options_, program_, c, k, joint)
+        if phase in (CONTROL, ACT):
+            control_world(script_, progress_, options_, workspace_, c, k, actions)

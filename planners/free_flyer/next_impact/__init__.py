@@ -1,0 +1,1 @@
+"""Where, when and by whom an object is hit next."""

@@ -1,0 +1,1 @@
+"""The plan of most robustness: a mixed-integer program over events, then smooth curves."""

@@ -1,0 +1,355 @@
+"""The event grid: K ordered impacts as a mixed-integer linear model without curves and without velocities.
+
+Every motion is a polyline whose knots are the impacts' times, common to all bodies. Robots are fully actuated,
+so their velocity before an impact is free and follows from Eq. (5) once the object's polyline is known: the
+impact law imposes nothing but a speed cap on the object's legs. With several objects, that an object keeps its
+velocity while another one is hit is bilinear and left out: the effort, which grows with every change of velocity,
+asks for it, and stage B makes it exact.
+
+What moves at the start: an object is on its ray p + v t up to its first impact; a robot's polyline begins where it
+would come to a halt.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
+from planners.errors import Infeasible
+from planners.free_flyer.nominal.event_sequence import Hitter, Word, compute_speed_caps
+from planners.free_flyer.reserves import Reserves
+from planners.free_flyer.specification.direction import AXES, DIRECTIONS
+from planners.mixed_integer import Affine, Model
+
+# How far against a direction, or one within the 22.5 degrees it stands for, each of the four axes points at most.
+BACKWARD = np.cos(np.maximum(0.0, np.arccos(np.clip(-DIRECTIONS @ AXES.T, -1.0, 1.0)) - np.deg2rad(22.5)))
+# Half-angles of the cone round its direction that an impulse may fill: a throw from rest or a catch always
+# has a direction within 22.5 degrees; a turn needs room for the legs before and after.
+CONE_AT_REST, CONE_TURNING = np.tan(np.deg2rad([30.0, 60.0]))
+RUN_UP = 0.15  # room behind a robot that hits [m]
+BRAKING = 0.75  # share of the planned acceleration with which robots' starts are taken to brake
+LEAST_PUSH = 0.1  # of the object's displacements after and before an impact along its direction [m]
+Point = np.ndarray  # shape (2,), of numbers or expressions [m]
+
+
+@dataclass(frozen=True)
+class EventGrid:
+    """Hold the model and the meaning of its variables.
+
+    Args:
+        model: rows and bounds; the objective is set by the stage that solves it.
+        rho: robustness [m].
+        pieces: number of equally long pieces per leg; robots may turn between them.
+        times: t_0 = 0, impact times, t_{K+1} = T, and the ends of pieces between them [s].
+        knots: positions of every body at these times [m].
+        hits: per impact, robot and object to the binary that the one hits the other, or 0 or 1 where it is given.
+        sides: per impact, one binary per direction of `DIRECTIONS`.
+        objects: names of the objects.
+        caps: greatest speed per axis of every object on every piece [m/s].
+        speeds: greatest speed per axis of every robot [m/s].
+        turns: time every robot loses to starting and stopping, per piece [s].
+        moving: names of the objects that move at the start.
+        first_turn: share of turns that counts on the first leg.
+        apart: pairs of bodies and pieces that have rows for their distance.
+    """
+
+    model: Model
+    rho: Affine
+    pieces: int
+    times: list[Affine | float]
+    knots: dict[str, list[Point]]
+    hits: list[dict[Hitter, Affine | float]]
+    sides: list[list[Affine]]
+    objects: tuple[str, ...]
+    caps: dict[str, list[float]]
+    speeds: dict[str, float]
+    turns: dict[str, float]
+    moving: tuple[str, ...] = ()
+    first_turn: float = 1.0
+    apart: set[tuple[str, str, int]] = field(default_factory=set)
+
+    @property
+    def count(self) -> int:
+        """Return the number of pieces of all legs."""
+        return len(self.times) - 1
+
+    def path(self, name: str) -> list[Point]:
+        """Return an object's positions at t_0 .. t_{K+1} [m]."""
+        return self.knots[name][:: self.pieces]
+
+    def duration(self, piece: int) -> Affine | float:
+        """Return the duration of a piece [s]."""
+        return self.times[piece + 1] - self.times[piece]
+
+    def fastest(self, body: str, piece: int) -> float:
+        """Return the greatest speed per axis of a body on a piece [m/s]."""
+        return self.caps[body][piece] if body in self.caps else self.speeds[body]
+
+    def hit_at(self, knot: int, body: str) -> Affine | float:
+        """Return whether a body takes part in the impact at a knot; nobody does between events."""
+        event, rest = divmod(knot, self.pieces)
+        if rest or not 1 <= event <= len(self.hits):
+            return 0.0
+        return self.involved(event, body)
+
+    def involved(self, event: int, body: str) -> Affine | float:
+        """Return whether a robot or object takes part in an event; the only object always does."""
+        if self.objects == (body,):
+            return 1.0
+        return sum((hit for pair, hit in self.hits[event - 1].items() if body in pair), 0.0)
+
+    def strikes(self, events: range, name: str) -> Affine | float:
+        """Return how often an object is hit in a range of events."""
+        return sum((self.involved(event, name) for event in events), 0.0)
+
+
+def build_event_grid(
+    scenario: FreeFlyerScenario,
+    impacts: int,
+    rho: tuple[float, float],
+    reserves: Reserves,
+    pieces: int = 1,
+    word: Word | None = None,
+    elastic: bool = False,
+) -> EventGrid:
+    """Build the model of all motions with a given number of impacts, without any formula or distances.
+
+    Args:
+        scenario: any numbers of robots and objects.
+        impacts: number K of impacts.
+        rho: least and greatest robustness allowed [m].
+        reserves: what the plan keeps in hand.
+        pieces: number of pieces per leg.
+        word: who hits what at each impact; open without.
+        elastic: whether speeds, and what is added in parts, may be exceeded; see `Model`.
+
+    Returns:
+        The grid; `add_requirements` adds the formula, the stages their objectives, `solve_apart` distances.
+
+    Raises:
+        Infeasible: the variable bounds alone exclude every plan.
+
+    Source: Verhagen & Tumova, Eqs. (5), (9b)-(9e), on a grid of events.
+    """
+    model = Model(f"event grid of {scenario.name} with {impacts} impacts", elastic)
+    objects = tuple(scenario.objects)
+    score, times = model.variable(*rho), _add_times(model, scenario, impacts, pieces, reserves)
+    events = times[::pieces]
+    grid = EventGrid(
+        model=model,
+        rho=score,
+        pieces=pieces,
+        times=times,
+        knots={name: _add_knots(model, scenario, name, events, pieces, reserves, word) for name in scenario.bodies},
+        hits=[_add_hits(model, scenario, None if word is None else word[k]) for k in range(impacts)],
+        sides=[[model.binary() for _ in DIRECTIONS] for _ in range(impacts)],
+        objects=objects,
+        caps={
+            name: [cap for cap in compute_speed_caps(scenario, name, impacts, reserves) for _ in range(pieces)]
+            for name in objects
+        },
+        speeds={name: reserves.cruise(robot) for name, robot in scenario.robots.items()},
+        turns={name: reserves.turning(robot) / pieces for name, robot in scenario.robots.items()},
+        moving=tuple(name for name, body in scenario.objects.items() if any(body.start_velocity)),
+        first_turn=reserves.underway if scenario.starts_moving else 1.0,
+    )
+    for event in range(1, impacts + 1):
+        _add_impact_rows(grid, scenario, event)
+        for name in objects:
+            _add_cone_rows(grid, event, name)
+    _add_gap_rows(grid, scenario, reserves)
+    _require_hits(grid, scenario)
+    if len(objects) > 1:
+        _add_rest_rows(grid, scenario)
+    _add_speed_rows(grid)
+    return grid
+
+
+def _add_times(
+    model: Model, scenario: FreeFlyerScenario, impacts: int, pieces: int, reserves: Reserves
+) -> list[Affine | float]:
+    first, gap, last = reserves.times(scenario.horizon)
+    if scenario.starts_moving:
+        first = min(first, gap)
+    latest = max(scenario.horizon - last, first)
+    events = [model.variable(first, latest, rigid=True) for _ in range(impacts)]
+    return _refine([0.0, *events, scenario.horizon], pieces)
+
+
+def _add_hits(model: Model, scenario: FreeFlyerScenario, given: Hitter | None) -> dict[Hitter, Affine | float]:
+    pairs = itertools.product(scenario.robots, scenario.objects)
+    return {pair: model.binary() if given is None else float(pair == given) for pair in pairs}
+
+
+def _add_knots(
+    model: Model,
+    scenario: FreeFlyerScenario,
+    name: str,
+    events: Sequence[Affine | float],
+    pieces: int,
+    reserves: Reserves,
+    word: Word | None,
+) -> list[Point]:
+    body, impacts = scenario.body(name), len(events) - 2
+    inset = body.radius + reserves.wall
+    lower, upper = np.array(scenario.world.lower) + inset, np.array(scenario.world.upper) - inset
+    start = np.array(body.start)
+    if isinstance(body, Robot):
+        between = [model.vector(lower, upper) for _ in range((impacts + 1) * pieces - 1)]
+        halt = find_halt(body, reserves)
+        return [halt, *between, model.vector(lower, upper) if body.goal is None else np.array(body.goal)]
+    # A body may start nearer to the world's edge than the reserve.
+    lower, upper = np.minimum(lower, start), np.maximum(upper, start)
+    struck = [True] * impacts if word is None else [hit[1] == name for hit in word]
+    # One that moves slowly may be left alone, and then flies on.
+    slow = word is None and len(scenario.objects) > 1 and any(body.start_velocity) and not body.must_stop
+    knots = [start]
+    for k in range(impacts + 1):
+        if not any(struck[:k]):
+            knots.append(_find_free(scenario, name, events[k + 1]))
+            for place, low, high in zip(knots[-1], lower - reserves.wall, upper + reserves.wall, strict=True):
+                model.require(low - place)
+                model.require(place - high)
+        elif any(struck[k:]) or not body.rest or slow:
+            knots.append(model.vector(lower, upper))
+        else:
+            knots.append(knots[-1])
+    return _refine(knots, pieces)
+
+
+def find_halt(robot: Robot, reserves: Reserves) -> Point:
+    """Return where a robot that brakes from the start comes to a halt, p + v |v| / (2 a) per axis [m]."""
+    start, velocity = np.array(robot.start), np.array(robot.start_velocity)
+    return start + velocity * np.abs(velocity) / (2.0 * BRAKING * reserves.acceleration(robot))
+
+
+def _find_free(scenario: FreeFlyerScenario, name: str, time: Affine | float) -> Point:
+    """Return where an object is at a time before its first impact."""
+    body = scenario.objects[name]
+    if not any(body.start_velocity):
+        return np.array(body.start)
+    return np.array([time * v + p for p, v in zip(body.start, body.start_velocity, strict=True)])
+
+
+def _refine(values: Sequence[Any], pieces: int) -> list[Any]:
+    """Return the values with linear interpolations between them."""
+    fine = [values[0]]
+    for a, b in itertools.pairwise(values):
+        fine += [a + (b - a) * (i / pieces) for i in range(1, pieces)]
+        fine.append(b)
+    return fine
+
+
+def _add_impact_rows(grid: EventGrid, scenario: FreeFlyerScenario, event: int) -> None:
+    """Say who hits what, from which side, and where it stands: inside the world at every true direction of a side."""
+    model, hits, sides = grid.model, grid.hits[event - 1], grid.sides[event - 1]
+    edges = [scenario.world.upper[0], -scenario.world.lower[0], scenario.world.upper[1], -scenario.world.lower[1]]
+    someone = sum(hits.values(), 0.0)
+    if isinstance(someone, Affine):
+        model.require_equal(someone - 1.0)
+    model.require_equal(sum(sides, Affine({})) - 1.0)
+    toward = np.array(sides, dtype=object) @ DIRECTIONS
+    for (robot, name), hit in hits.items():
+        reach = scenario.robots[robot].radius + scenario.objects[name].radius
+        miss = grid.knots[robot][event * grid.pieces] + toward * reach - grid.path(name)[event]
+        for entry in miss:
+            model.require(entry, unless=1.0 - hit)
+            model.require(-entry, unless=1.0 - hit)
+        farthest = AXES @ grid.path(name)[event] + np.array(sides, dtype=object) @ BACKWARD * reach
+        for place, edge in zip(farthest, edges, strict=True):
+            model.require(place + scenario.robots[robot].radius + RUN_UP - edge, unless=1.0 - hit)
+
+
+def _add_cone_rows(grid: EventGrid, event: int, name: str) -> None:
+    """Keep the impulse on an object near its direction, and not nil.
+
+    The impulse is along D_k / T_k - D_{k-1} / T_{k-1}. Quotients are beyond linear rows, but a cone that holds
+    D_k and -D_{k-1} holds their sum with any positive weights. Where one of them is nil, a narrower cone does.
+    """
+    path, count = grid.path(name), len(grid.hits)
+    missed = 1.0 - grid.involved(event, name)
+    # Whether its velocity before the event may be other than nil.
+    before = 1.0 if name in grid.moving else grid.strikes(range(1, event), name)
+    pushes = [
+        (path[event + 1] - path[event], before),
+        (path[event - 1] - path[event], grid.strikes(range(event + 1, count + 1), name)),
+    ]
+    moving = [push for push in pushes if any(grid.model.limits(entry) != (0.0, 0.0) for entry in push[0])]
+    for side, direction in zip(grid.sides[event - 1], DIRECTIONS, strict=True):
+        across, off = np.array([-direction[1], direction[0]]), 1.0 - side + missed
+        grid.model.require(LEAST_PUSH - direction @ (pushes[0][0] + pushes[1][0]), unless=off)
+        for (push, others), sign in itertools.product(moving, (1.0, -1.0)):
+            widest = CONE_TURNING if len(moving) > 1 else CONE_AT_REST
+            grid.model.require((sign * across - widest * direction) @ push, unless=off)
+            if len(moving) > 1 and isinstance(others, Affine):
+                grid.model.require((sign * across - CONE_AT_REST * direction) @ push, unless=off + others)
+
+
+def _add_gap_rows(grid: EventGrid, scenario: FreeFlyerScenario, reserves: Reserves) -> None:
+    """Order the events, and leave a robot and an object time between two impacts of their own."""
+    gap, events = reserves.times(scenario.horizon)[1], grid.times[:: grid.pieces]
+    for first, second in itertools.combinations(range(1, len(grid.hits) + 1), 2):
+        wait = events[second] - events[first]
+        if len(grid.objects) == 1:
+            if second == first + 1:
+                grid.model.require(gap - wait)
+            continue
+        if second == first + 1:
+            grid.model.require(scenario.control_period - wait)
+        for body in scenario.bodies:
+            again = grid.involved(first, body) + grid.involved(second, body)
+            grid.model.require(gap - wait, unless=2.0 - again)
+
+
+def _require_hits(grid: EventGrid, scenario: FreeFlyerScenario) -> None:
+    """Have every object hit that has to come to rest."""
+    for name, body in scenario.objects.items():
+        if not body.must_stop:
+            continue
+        hits = grid.strikes(range(1, len(grid.hits) + 1), name)
+        if not isinstance(hits, Affine) and hits < 1.0:
+            raise Infeasible(grid.model.name, f"{name} moves and is not hit", "allow more impacts")
+        grid.model.require(1.0 - hits)
+
+
+def _add_rest_rows(grid: EventGrid, scenario: FreeFlyerScenario) -> None:
+    """Keep objects on their free motion before their first impact, and at rest after their last one if they have to.
+
+    One that is never hit is on its free motion, which is at rest or, where that is allowed, slow.
+    """
+    count, events = len(grid.hits), grid.times[:: grid.pieces]
+    for name, body in scenario.objects.items():
+        path, moves = grid.path(name), name in grid.moving
+        never: Affine | float = 0.0
+        if moves and not body.must_stop:
+            never = grid.model.binary()
+            grid.model.require(grid.strikes(range(1, count + 1), name) + (never - 1.0) * count)
+        for leg in range(1, count + 1):
+            before = grid.strikes(range(1, leg + 1), name)
+            after = grid.strikes(range(leg + 1, count + 1), name) + never
+            steps = path[leg + 1] - path[leg]
+            free = path[leg + 1] - _find_free(scenario, name, events[leg + 1]) if moves else steps
+            for d, sign in itertools.product(range(2), (1.0, -1.0)):
+                grid.model.require(free[d] * sign, unless=before)
+                if body.rest:
+                    grid.model.require(steps[d] * sign, unless=after)
+
+
+def _add_speed_rows(grid: EventGrid) -> None:
+    """Bound every piece by a cruise at the greatest speed, less the time that starting and stopping costs.
+
+    |D| <= v (T - v / a) is what a leg from rest to rest needs at acceleration a and speed v at most.
+    """
+    for name, knots in grid.knots.items():
+        with grid.model.part(f"speed of {name}", 1e3):
+            for piece in range(grid.count):
+                share = grid.first_turn if piece < grid.pieces else 1.0
+                cruise = grid.duration(piece) - share * grid.turns.get(name, 0.0)
+                for step in knots[piece + 1] - knots[piece]:
+                    grid.model.require(step - grid.fastest(name, piece) * cruise)
+                    grid.model.require(-step - grid.fastest(name, piece) * cruise)

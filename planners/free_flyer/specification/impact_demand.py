@@ -1,0 +1,194 @@
+"""What a plan's knots (the impacts of an object, and its end) owe the formula: where the object may be, and when."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from impact_envs.errors import InputError
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.stl import Always, And, Eventually, Formula, Or, Predicate
+from planners.free_flyer.specification.requirement import Requirement, read_demands
+from planners.plan import Plan
+
+AT_REST = 1e-4  # speed below which an object stays where it is [m/s]
+ROUND_OFF = 1e-6  # of times [s]
+
+
+@dataclass(eq=False)
+class Knot:
+    """Hold an impact of an object, or its end.
+
+    Attributes:
+        time: planned [s].
+        position: planned, of the object's centre, shape (2,) [m].
+        faces: rows (H, b) with H p <= b, shape (f, 3).
+        window: when the object may be here [s].
+        rests: the object stays here until the next knot.
+    """
+
+    time: float
+    position: np.ndarray
+    faces: list[np.ndarray] = field(default_factory=list)
+    window: tuple[float, float] = (0.0, np.inf)
+    rests: bool = False
+
+    def narrow(self, start: float, end: float) -> None:
+        """Narrow the window."""
+        self.window = max(self.window[0], start), min(self.window[1], end)
+
+
+def find_knots(scenario: FreeFlyerScenario, plan: Plan, name: str) -> list[Knot]:
+    """Return the knots of an object, with what the formula demands of its position there.
+
+    "Always" binds every knot in its window, an area to avoid by the face that the plan keeps to on the legs before and
+    after. "Eventually" binds the last of those knots in its window that serve it best; where the plan serves it between
+    knots, it binds none. Of a disjunction the part that the plan serves best counts. An object at rest until
+    its next knot is bound by that one's demands too. Demands on several bodies at once, and formulas the planner does
+    not take, bind nothing.
+
+    Args:
+        scenario: with its formula.
+        plan: to execute.
+        name: of the object.
+
+    Returns:
+        Its impacts in order of time, then its end.
+    """
+    curve = plan.objects[name]
+    impacts = [impact for impact in plan.impacts if impact.object == name]
+    knots = [Knot(i.time, i.position, rests=bool(np.abs(i.object_plus).max() < AT_REST)) for i in impacts]
+    knots.append(Knot(plan.horizon, curve.position(plan.horizon, "left")))
+    try:
+        demands = read_demands(scenario, 0.0)
+    except InputError:
+        return knots
+    owned = {p: r for p, r in demands.predicates.items() if r.body == name and not r.others and r.kind != "apart"}
+    for formula in demands.conjuncts.values():
+        _bind(formula, 0.0, 0.0, knots, owned)
+    for need in demands.solids:
+        if need.body == name:
+            _bind_throughout(need, need.start, need.end, knots)
+    for knot, after in reversed(list(itertools.pairwise(knots))):
+        if knot.rests:
+            knot.faces += after.faces
+    for knot in knots:
+        knot.faces = list({tuple(face): face for face in knot.faces}.values())
+    return knots
+
+
+def find_own_faces(scenario: FreeFlyerScenario, name: str) -> list[np.ndarray]:
+    """Return the faces (H, b) of the convex areas that a robot must stay in at all times.
+
+    Args:
+        scenario: with its formula.
+        name: of the robot.
+    """
+    try:
+        demands = read_demands(scenario, 0.0)
+    except InputError:
+        return []
+    faces: list[np.ndarray] = []
+    for formula in demands.conjuncts.values():
+        for predicate in _always_at(formula, 0.0, 0.0, scenario.horizon):
+            need = demands.predicates[predicate]
+            if need.body == name and need.kind == "stay" and not need.others:
+                faces += list(np.column_stack([need.faces, need.bounds]))
+    return faces
+
+
+def _always_at(formula: Formula, start: float, end: float, horizon: float) -> Iterator[Predicate]:
+    match formula:
+        case And(operands):
+            for part in operands:
+                yield from _always_at(part, start, end, horizon)
+        case Always((lower, upper), child):
+            yield from _always_at(child, start + lower, end + upper, horizon)
+        case Predicate() if start <= ROUND_OFF and end >= horizon - ROUND_OFF:
+            yield formula
+
+
+def _bind(formula: Formula, start: float, end: float, knots: list[Knot], owned: dict[Predicate, Requirement]) -> None:
+    """Bind knots by a formula that has to hold at all times in [start, end]."""
+    match formula:
+        case And(operands):
+            for part in operands:
+                _bind(part, start, end, knots, owned)
+        case Or(operands):
+            served = [(_serve(part, owned, _at(start, end, knots)), i) for i, part in enumerate(operands)]
+            best = max(served)[1]
+            _bind(operands[best], start, end, knots, owned)
+        case Always((lower, upper), child):
+            _bind(child, start + lower, end + upper, knots, owned)
+        case Eventually((lower, upper), child) if end - start <= ROUND_OFF:
+            _bind_best(child, start + lower, end + upper, knots, owned)
+        case Predicate() if formula in owned:
+            _bind_throughout(owned[formula], start, end, knots)
+
+
+def _bind_best(
+    formula: Formula, opens: float, closes: float, knots: list[Knot], owned: dict[Predicate, Requirement]
+) -> None:
+    """Bind the last knot that serves best what has to hold once in a window, or comes to rest there in time."""
+    # Every object starts at rest; the end of a rest needs no look of its own.
+    stays: list[tuple[Knot | None, Knot]] = [(None, knots[0])]
+    for before, knot, after in zip([None, *knots], knots, [*knots[1:], knots[-1]], strict=False):
+        if knot.rests:
+            stays.append((knot, after))
+        elif before is not None and not before.rests:
+            stays.append((knot, knot))
+    found = [
+        (arrival, leaving)
+        for arrival, leaving in stays
+        if (arrival is None or arrival.time <= closes + ROUND_OFF) and leaving.time >= opens - ROUND_OFF
+    ]
+    margins = [_serve(formula, owned, [arrival or leaving]) for arrival, leaving in found]
+    if not found or max(margins) <= 0:
+        return
+    arrival, leaving = found[max(i for i, margin in enumerate(margins) if margin >= max(margins) - ROUND_OFF)]
+    for knot in {id(knot): knot for knot in (arrival, leaving) if knot is not None}.values():
+        _bind(formula, knot.time, knot.time, knots, owned)
+    inner = closes < knots[-1].time - ROUND_OFF
+    if opens > ROUND_OFF or inner:
+        # An object that stays longer than it has to does no harm, but waiting for it would.
+        leaving.narrow(opens, closes if leaving.time <= closes + ROUND_OFF else np.inf)
+    if arrival is not None and inner:
+        arrival.narrow(0.0, closes)
+
+
+def _bind_throughout(need: Requirement, start: float, end: float, knots: list[Knot]) -> None:
+    inside = _at(start, end, knots)
+    table = np.column_stack([need.faces, need.bounds])
+    if need.kind == "stay":
+        for knot in inside:
+            knot.faces += list(table)
+        return
+    for pair in itertools.pairwise(inside) if len(inside) > 1 else [tuple(inside)] if inside else []:
+        kept = np.min([need.faces @ knot.position - need.bounds for knot in pair], axis=0)
+        face = -table[int(np.argmax(kept))]
+        face[2] -= need.clearance * np.hypot(*face[:2])
+        for knot in pair:
+            knot.faces.append(face)
+
+
+def _at(start: float, end: float, knots: list[Knot]) -> list[Knot]:
+    return [knot for knot in knots if start - ROUND_OFF <= knot.time <= end + ROUND_OFF]
+
+
+def _serve(formula: Formula, owned: dict[Predicate, Requirement], knots: list[Knot]) -> float:
+    """Return the least margin with which planned positions serve a formula, -inf where it cannot be said."""
+    match formula:
+        case And(operands):
+            return min(_serve(part, owned, knots) for part in operands)
+        case Or(operands):
+            return max(_serve(part, owned, knots) for part in operands)
+        case Predicate() if formula in owned:
+            need, sign = owned[formula], -1.0 if owned[formula].kind == "avoid" else 1.0
+            margins = [need.bounds - need.faces @ knot.position for knot in knots]
+            if not margins:
+                return -np.inf
+            return float(np.min([m.min() if sign > 0 else (-m).max() for m in margins]))
+    return -np.inf

@@ -1,0 +1,112 @@
+"""A robustness that no plan can exceed, from geometry alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
+from impact_envs.stl import Always, And, Distance, Eventually, Formula, Or, Predicate, Until
+from impact_envs.stl.margin import make_margin
+from planners.free_flyer.specification.negation_normal_form import Release
+from planners.free_flyer.specification.requirement import Demands, Requirement
+from planners.mixed_integer import Model, solve_mixed_integer
+
+
+def compute_geometric_bound(scenario: FreeFlyerScenario, demands: Demands) -> float:
+    """Return a robustness that no plan of any kind can exceed.
+
+    Predicates are bounded by the best place in the world (the inradius of an area to be in), and exactly at the
+    fixed starts and goals; operators pass bounds on as they pass on robustness.
+
+    Args:
+        scenario: world, starts and goals.
+        demands: its demands.
+
+    Returns:
+        Upper bound of the robustness [m].
+    """
+    bound = _Bound(scenario, demands)
+    values = [bound.least(formula, 0.0, 0.0) for formula in demands.conjuncts.values()]
+    return min([scenario.world.diagonal, *values])
+
+
+class _Bound:
+    """Bound the least and the greatest robustness of a formula over a window of time, both from above."""
+
+    def __init__(self, scenario: FreeFlyerScenario, demands: Demands) -> None:
+        self.scenario, self.demands = scenario, demands
+        self._places: dict[Predicate, float] = {}
+
+    def least(self, formula: Formula, start: float, end: float) -> float:
+        """Return a bound of min over [start, end]: any instant of it gives one, and so does the greatest value."""
+        match formula:
+            case And(operands):
+                return min(self.least(part, start, end) for part in operands)
+            case Always((a, b), child):
+                return self.least(child, start + a, end + b)
+        if start == end:
+            return self.greatest(formula, start, end)
+        ends = (self.greatest(formula, t, t) for t in (start, end))
+        return min(self.greatest(formula, start, end), *ends)
+
+    def greatest(self, formula: Formula, start: float, end: float) -> float:
+        """Return a bound of max over [start, end]."""
+        match formula:
+            case Predicate():
+                return self._predicate(formula, start, end)
+            case And(operands):
+                return min(self.greatest(part, start, end) for part in operands)
+            case Or(operands):
+                return max(self.greatest(part, start, end) for part in operands)
+            case Always((a, b), child):
+                core = self.least(child, end + a, start + b) if end + a <= start + b else np.inf
+                return min(core, self.greatest(child, start + a, end + b))
+            case Eventually((a, b), child):
+                return self.greatest(child, start + a, end + b)
+            case Until((a, b), left, right):
+                core = self.least(left, end, start + a) if end <= start + a else np.inf
+                return min(core, self.greatest(left, start, end), self.greatest(right, start + a, end + b))
+            case Release((a, b), left, right):
+                held = self.greatest(Always((a, b), right), start, end)
+                return max(held, self.greatest(left, start, end + b))
+        raise TypeError(f"{type(formula).__name__} is not in normal form")
+
+    def _predicate(self, predicate: Predicate, start: float, end: float) -> float:
+        """Return the exact value where bodies are fixed, the best place's otherwise."""
+        bodies = {name: self.scenario.body(name) for name in predicate.bodies()}
+        goals = {name: body.goal for name, body in bodies.items() if isinstance(body, Robot) and body.goal is not None}
+        if start == end == 0.0:
+            return self._value(predicate, {name: body.start for name, body in bodies.items()})
+        if start == end >= self.scenario.horizon and len(goals) == len(bodies):
+            return self._value(predicate, goals)
+        if predicate not in self._places:
+            self._places[predicate] = self._best_place(predicate)
+        return self._places[predicate]
+
+    def _value(self, predicate: Predicate, places: dict[str, tuple[float, float]]) -> float:
+        sample = {f"{name}.{axis}": place[k] for name, place in places.items() for k, axis in enumerate("xy")}
+        return make_margin(predicate, self.scenario.areas).at(sample)
+
+    def _best_place(self, predicate: Predicate) -> float:
+        scenario, need = self.scenario, self.demands.predicates[predicate]
+        if need.kind == "stay" and not need.others:
+            return _compute_inradius(scenario, need)
+        spans = list(zip(scenario.world.lower, scenario.world.upper, strict=True))
+        ranges = {f"{name}.{axis}": spans[k] for name in need.bodies for k, axis in enumerate("xy")}
+        best = make_margin(predicate, scenario.areas).range(ranges)[1]
+        if isinstance(predicate, Distance) and predicate.is_upper:
+            best = predicate.bound - sum(scenario.body(name).radius for name in need.bodies)
+        return best
+
+
+def _compute_inradius(scenario: FreeFlyerScenario, need: Requirement) -> float:
+    model = Model(f"inradius of {need.text}")
+    point = model.vector(np.array(scenario.world.lower), np.array(scenario.world.upper))
+    beyond = [face @ point - bound for face, bound in zip(need.faces, need.bounds, strict=True)]
+    farthest = max(model.limits(distance)[1] for distance in beyond)
+    rho = model.variable(min(-farthest, 0.0), scenario.world.diagonal)
+    for distance in beyond:
+        model.require(distance + rho)
+    model.objective = -rho
+    # A bound from above stays one when it is rounded up.
+    return float(np.round(-solve_mixed_integer(model, 10.0).objective + 5e-10, 9))

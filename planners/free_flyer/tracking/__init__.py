@@ -1,0 +1,1 @@
+"""Follow a reference: the robot's course, and the controllers that track it."""

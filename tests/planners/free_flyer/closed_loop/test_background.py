@@ -1,0 +1,631 @@
+"""A new plan is taken over 2 s after it was asked for, in simulated time, whatever its process does."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from functools import cache
+from io import StringIO
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from impact_envs import InputError, load_scenario, parallel_env, rollout, vector_env
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners import make_plan
+from planners.errors import Infeasible
+from planners.free_flyer.belief.options import EXPERT
+from planners.free_flyer.belief.plan_table import AT, END, make_script
+from planners.free_flyer.belief.world_memory import (
+    COUNTERS,
+    EXTRA,
+    IMPACT_INDEX,
+    INSERTED,
+    LAST,
+    OPTIMISED,
+    PAST_PERIOD,
+    TIME,
+    Progress,
+)
+from planners.free_flyer.closed_loop import background
+from planners.free_flyer.closed_loop.background import APART, DELAY, LEAST_LEFT, MOST_PLANS, Background, answer_requests
+from planners.free_flyer.closed_loop.world_loop import adopt_world, start_world
+from planners.free_flyer.expert import FreeFlyerExpert
+from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
+from planners.free_flyer.next_impact.bookkeeping import SETTLE
+from planners.plan import Plan
+
+SEED = 1_000_000
+WANTED = 12.0  # after the first impact of both scenarios, well before the second [s]
+Spoil = Callable[[int, dict[str, np.ndarray]], None]
+
+
+def load(name: str) -> FreeFlyerScenario:
+    scenario = load_scenario(name)
+    assert isinstance(scenario, FreeFlyerScenario)
+    return scenario
+
+
+@cache
+def plan_of(name: str) -> Plan:
+    return make_plan(load(name))
+
+
+@cache
+def answer(line: str) -> str:
+    answers = StringIO()
+    answer_requests(StringIO(line), answers)
+    return answers.getvalue()
+
+
+class Inline:
+    """Stands for the process: answers at once, each question only once per test session."""
+
+    plan: Callable[[str], str] = staticmethod(answer)
+
+    def __init__(self, *arguments: object, **options: object) -> None:
+        self.stdin = self.stdout = self
+        self.asked: list[str] = []
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def write(self, line: str) -> None:
+        self.asked.append(line)
+        self._lines.put(type(self).plan(line))
+
+    def flush(self) -> None:
+        pass
+
+    def __iter__(self) -> Iterator[str]:
+        while line := self._lines.get():
+            yield line
+
+    def close(self) -> None:
+        pass
+
+    def poll(self) -> int | None:
+        return None
+
+    def kill(self) -> None:
+        self._lines.put("")
+
+    def wait(self) -> None:
+        pass
+
+
+def replace_worker(monkeypatch: pytest.MonkeyPatch, start: Callable[..., Any]) -> None:
+    monkeypatch.setattr(background, "subprocess", SimpleNamespace(Popen=start, PIPE=subprocess.PIPE))
+
+
+@pytest.fixture
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    replace_worker(monkeypatch, Inline)
+
+
+@pytest.fixture
+def hopeless(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no plan be found."""
+
+    class Hopeless(Inline):
+        plan = staticmethod(lambda line: json.dumps({"number": json.loads(line)["number"], "plan": None}) + "\n")
+
+    replace_worker(monkeypatch, Hopeless)
+
+
+@pytest.fixture
+def expert() -> Iterator[FreeFlyerExpert]:
+    made = make_expert("throw_and_catch")
+    yield made
+    made._background.close()
+
+
+def make_expert(name: str, world: FreeFlyerScenario | None = None) -> FreeFlyerExpert:
+    return FreeFlyerExpert(world or load(name), plan_of(name))
+
+
+def want(progress: Progress, k: int, times: tuple[float, ...]) -> None:
+    """Let world k want a new plan, as `look_ahead` does, at some times."""
+    if any(abs(progress.time[k] - time) < 1e-6 for time in times):
+        progress.wanted[k] = min(progress.wanted[k], progress.time[k])
+
+
+class Run:
+    """An episode in which new plans are wanted at some times.
+
+    Attributes:
+        actions: shape (T, 3 r).
+        taken: when the script changed [s].
+        wanted: before every step, shape (T,).
+        numbers: of requests so far, before every step, shape (T,).
+    """
+
+    def __init__(
+        self,
+        expert: FreeFlyerExpert,
+        world: FreeFlyerScenario,
+        times: tuple[float, ...] = (WANTED,),
+        spoil: Spoil = lambda k, observations: None,
+        seed: int = SEED,
+        steps: int | None = None,
+    ) -> None:
+        env, progress = parallel_env(world), expert.progress
+        observations, infos = env.reset(seed=seed)
+        expert.reset(seed)
+        actions, self.taken, wanted, numbers = [], list[float](), [], []
+        for k in range(world.steps if steps is None else steps):
+            want(progress, 0, times)
+            wanted.append(progress.wanted[0])
+            numbers.append(expert._background._numbers)
+            spoil(k, observations)
+            script, now = expert.script, float(progress.time[0])
+            chosen = expert.act(observations)
+            if expert.script is not script:
+                self.taken.append(now)
+            actions.append(np.concatenate([chosen[name] for name in world.agents]))
+            observations, _, _, _, infos = env.step(chosen)
+        self.actions, self.wanted, self.numbers = np.array(actions), np.array(wanted), np.array(numbers)
+        self.success = bool(infos["snap"].get("success"))
+        self.counts = dict(zip(COUNTERS, progress.counts[0].tolist(), strict=True))
+
+
+@pytest.mark.parametrize("name", ["throw_and_catch", "pong"])
+@pytest.mark.usefixtures("inline")
+def test_asked_once_and_taken_over_two_seconds_later(name: str) -> None:
+    expert, world = make_expert(name), load(name)
+    run = Run(expert, world)
+    assert run.taken == pytest.approx([WANTED + DELAY], abs=1e-9)
+    assert run.numbers[-1] == 1
+    assert (run.counts["planned_anew"], run.counts["no_plan"]) == (1, 0)
+    assert run.success
+    # Nothing is wanted until the answer had its time.
+    times = world.control_period * np.arange(world.steps) - world.control_period  # of the last observation
+    waiting = (times > WANTED + 1e-6) & (times < WANTED + DELAY + APART + 1e-6)
+    assert (run.wanted[waiting] == -np.inf).all()
+    assert (run.wanted[times > WANTED + DELAY + APART + 0.11] == np.inf).all()
+    # The new script is one of the whole episode, in its time.
+    assert expert.script.horizon == pytest.approx(world.horizon)
+    assert (expert.script.impact[:, AT] > WANTED + DELAY).all()
+    assert expert.script.breaks[:, 0] == pytest.approx(WANTED + DELAY)
+
+
+@pytest.mark.usefixtures("inline")
+def test_nobody_is_asked_where_nothing_is_wanted_or_planning_anew_is_off(expert: FreeFlyerExpert) -> None:
+    run = Run(expert, load("throw_and_catch"), ())
+    assert (run.taken, run.numbers[-1]) == ([], 0)
+    off = FreeFlyerExpert(load("throw_and_catch"), plan_of("throw_and_catch"), options=EXPERT._replace(plan_anew=False))
+    assert (Run(off, load("throw_and_catch")).taken, off._background._numbers) == ([], 0)
+
+
+@pytest.mark.usefixtures("inline")
+def test_asked_when_no_impact_is_near(expert: FreeFlyerExpert) -> None:
+    """The first impact is at 9.7 s: at 7.5 s it is too near, 1.5 s after it the flight is known."""
+    first = plan_of("throw_and_catch").impacts[0].time
+    run = Run(expert, load("throw_and_catch"), (7.5,))
+    (taken,) = run.taken
+    assert first + SETTLE + DELAY - 1e-6 <= taken <= first + SETTLE + DELAY + 0.3
+
+
+@pytest.mark.usefixtures("inline")
+def test_nobody_is_asked_when_little_is_left(expert: FreeFlyerExpert) -> None:
+    late = 30.0 - LEAST_LEFT + 0.5
+    run = Run(expert, load("throw_and_catch"), (late,))
+    assert (run.taken, run.numbers[-1], run.counts["no_plan"]) == ([], 0, 0)
+    assert run.wanted[-1] == -np.inf
+
+
+@pytest.mark.parametrize("answered", [True, False])
+def test_asked_twice_at_most_with_time_between(answered: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[float] = []
+    expert = make_expert("pong")
+
+    class Counted(Inline):
+        def write(self, line: str) -> None:
+            asked.append(float(expert.progress.time[0]))
+            super().write(line if answered else line.replace('"horizon"', '"horizont"'))
+
+    if not answered:
+        Counted.plan = staticmethod(
+            lambda line: json.dumps({"number": json.loads(line)["number"], "plan": None}) + "\n"
+        )
+    replace_worker(monkeypatch, Counted)
+    run = Run(expert, load("pong"), tuple(np.arange(WANTED, 90.0, 0.1)))
+    assert len(asked) == MOST_PLANS
+    assert asked[0] == pytest.approx(WANTED)
+    assert asked[1] >= asked[0] + DELAY + APART - 1e-6
+    assert len(run.taken) == (MOST_PLANS if answered else 0)
+    assert run.counts["planned_anew" if answered else "no_plan"] == MOST_PLANS
+
+
+def refuse(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Let nothing remain to be done; return when it was tried."""
+    tried: list[float] = []
+
+    def make_remaining_scenario(scenario: object, now: float, *rest: object) -> None:
+        tried.append(now)
+        raise InputError("nothing remains")
+
+    monkeypatch.setattr(background, "make_remaining_scenario", make_remaining_scenario)
+    return tried
+
+
+@pytest.mark.usefixtures("inline")
+def test_what_cannot_be_asked_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried, expert = refuse(monkeypatch), make_expert("pong")
+    run = Run(expert, load("pong"))
+    assert tried == pytest.approx([WANTED + DELAY])
+    assert (run.taken, run.numbers[-1], run.counts["no_plan"]) == ([], 0, 1)
+    assert run.success
+
+
+@pytest.mark.usefixtures("inline")
+def test_what_cannot_be_asked_is_not_tried_more_than_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried, expert = refuse(monkeypatch), make_expert("pong")
+    Run(expert, load("pong"), tuple(np.arange(WANTED, 90.0, 0.1)))
+    assert len(tried) == MOST_PLANS
+
+
+@pytest.mark.parametrize("name", ["throw_and_catch", "pong"])
+def test_same_seed_same_actions_bit_for_bit(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planned twice by a process, and once by this one."""
+    world = load(name).suite("all")
+    expert = make_expert(name, world)
+    runs = [Run(expert, world) for _ in range(2)]
+    assert expert._background._numbers == 2
+    expert._background.close()
+    replace_worker(monkeypatch, Inline)
+    runs.append(Run(make_expert(name, world), world))
+    assert runs[0].taken == pytest.approx([WANTED + DELAY])
+    for run in runs[1:]:
+        np.testing.assert_array_equal(run.actions, runs[0].actions)
+        assert (run.taken, run.counts) == (runs[0].taken, runs[0].counts)
+    before = round((WANTED + DELAY) / world.control_period)
+    without = Run(make_expert(name, world), world, ())
+    np.testing.assert_array_equal(without.actions[:before], runs[0].actions[:before])
+    assert np.abs(without.actions - runs[0].actions).max() > 1e-3
+
+
+@pytest.mark.parametrize(("name", "threads"), [("throw_and_catch", 1), ("throw_and_catch", 2), ("pong", 1)])
+@pytest.mark.usefixtures("inline")
+def test_single_and_batch_agree(name: str, threads: int) -> None:
+    """Worlds 0 and 2 are planned anew at different times, world 1 is not."""
+    world, count = load(name).suite("all"), 3
+    times = ((WANTED,), (), (WANTED + 0.7,))
+    vector = vector_env(world, num_envs=count, threads=1)
+    batch = FreeFlyerExpertBatch(world, plan_of(name), count, threads=threads)
+    joint, _ = vector.reset(seed=SEED)
+    runs = [Run(make_expert(name, world), world, times[k], seed=SEED + k) for k in range(count)]
+    for step in range(world.steps):
+        for k in range(count):
+            want(batch.progress, k, times[k])
+        actions = batch.act(joint)
+        for k, run in enumerate(runs):
+            np.testing.assert_allclose(actions[k], run.actions[step], rtol=0, atol=1e-9)
+        joint = vector.step(actions)[0]
+    for k, run in enumerate(runs):
+        assert {name: int(number[k]) for name, number in batch.counts.items()} == run.counts
+    assert [run.counts["planned_anew"] for run in runs] == [1, 0, 1]
+    batch.close()
+
+
+def kill_at(expert: FreeFlyerExpert, time: float) -> Spoil:
+    def kill(k: int, observations: dict[str, np.ndarray]) -> None:
+        worker = expert._background._worker
+        if abs(expert.progress.time[0] - time) < 1e-6 and worker is not None:
+            worker.kill()
+            worker.wait()
+
+    return kill
+
+
+def test_dead_process_is_no_plan_and_the_next_question_finds_another_one() -> None:
+    expert = make_expert("pong")
+    run = Run(expert, load("pong"), (WANTED, 32.5), kill_at(expert, WANTED + 0.1))
+    assert run.counts["no_plan"] == 1
+    assert run.counts["planned_anew"] == 1
+    (taken,) = run.taken
+    assert taken >= 32.5 + DELAY - 1e-6
+    assert run.success
+    expert._background.close()
+
+
+@pytest.mark.usefixtures("hopeless")
+def test_no_plan_is_counted_and_changes_nothing(expert: FreeFlyerExpert) -> None:
+    world = load("throw_and_catch").suite("all")
+    run, without = Run(expert, world), Run(make_expert("throw_and_catch"), world, ())
+    assert (run.taken, run.counts["no_plan"], run.counts["planned_anew"]) == ([], 1, 0)
+    np.testing.assert_array_equal(run.actions, without.actions)
+
+
+def speak(monkeypatch: pytest.MonkeyPatch, code: str) -> None:
+    """Let the process run something else."""
+    start = subprocess.Popen
+    replace_worker(monkeypatch, lambda arguments, **options: start([sys.executable, "-c", code], **options))
+
+
+def test_process_that_died_between_two_questions_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    speak(monkeypatch, "import sys; sys.stdin.read()")
+    asking, pids = Background(load("throw_and_catch")), set()
+    for _ in range(2):
+        asking._reach_worker()
+        asking._reach_worker()
+        assert asking._worker is not None
+        pids.add(asking._worker.pid)
+        asking._worker.kill()
+        asking._worker.wait()
+    assert len(pids) == 2
+    asking.close()
+
+
+@pytest.mark.parametrize("code", ["", "import sys; sys.stdin.readline()"])
+def test_process_that_ends_without_an_answer_is_no_plan(
+    expert: FreeFlyerExpert, monkeypatch: pytest.MonkeyPatch, code: str
+) -> None:
+    speak(monkeypatch, code)
+    run = Run(expert, load("throw_and_catch"))
+    assert (run.taken, run.counts["no_plan"]) == ([], 1)
+    assert run.success
+
+
+@pytest.mark.parametrize("words", ['{"number": 1, "plan": "{', "a word of the solver"])
+def test_process_that_dies_within_its_answer_is_no_plan(
+    expert: FreeFlyerExpert, monkeypatch: pytest.MonkeyPatch, words: str
+) -> None:
+    speak(monkeypatch, f"import sys; sys.stdin.readline(); sys.stdout.write({words!r})")
+    run = Run(expert, load("throw_and_catch"))
+    assert (run.taken, run.counts["no_plan"]) == ([], 1)
+    assert run.success
+
+
+def repeat(progress: Progress, count: int) -> Progress:
+    """Return the memory of many worlds that are all like the only one."""
+    return Progress(*(np.repeat(table, count, axis=0) for table in progress))
+
+
+@pytest.mark.parametrize("count", [10, 200])
+def test_many_worlds_may_ask_before_the_first_answer_is_read(
+    expert: FreeFlyerExpert, monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    """Questions and answers together are more than pipes hold."""
+    speak(
+        monkeypatch,
+        "import json, sys\n"
+        "for line in sys.stdin:\n"
+        "    print(json.dumps({'number': json.loads(line)['number'], 'plan': None, 'more': 6000 * ' '}), flush=True)",
+    )
+    Run(expert, load("throw_and_catch"), (), steps=round(WANTED / 0.1) + 1)
+    progress, asking = repeat(expert.progress, count), Background(load("throw_and_catch"))
+    progress.wanted[:] = progress.time
+    over = threading.Event()
+
+    def ask() -> None:
+        for k in range(count):
+            if not over.is_set():
+                asking.look(expert.script, progress, k)
+
+    thread = threading.Thread(target=ask, daemon=True)
+    thread.start()
+    thread.join(4.0)
+    stuck = thread.is_alive()
+    if stuck and asking._worker is not None:
+        over.set()
+        asking._worker.kill()
+        thread.join(10.0)
+    assert not stuck
+    progress.time[:] += DELAY
+    for k in range(count):
+        assert asking.look(expert.script, progress, k) is None
+    assert (progress.counts[:, COUNTERS.index("no_plan")] == 1).all()
+    asking.close()
+
+
+@pytest.mark.usefixtures("inline")
+def test_question_that_was_given_up_does_no_harm(expert: FreeFlyerExpert) -> None:
+    world = load("throw_and_catch").suite("all")
+    fresh = Run(make_expert("throw_and_catch"), world, (WANTED + 0.5,), seed=SEED + 1)
+    Run(expert, world, steps=round(WANTED / 0.1) + 5)
+    assert expert._background._pending
+    again = Run(expert, world, (WANTED + 0.5,), seed=SEED + 1)
+    np.testing.assert_array_equal(again.actions, fresh.actions)
+    assert (again.taken, again.counts) == (fresh.taken, fresh.counts)
+    assert len(again.taken) == 1
+
+
+@pytest.mark.usefixtures("inline")
+@pytest.mark.parametrize("asked", [True, False])
+def test_batch_forgets_what_was_wanted_before_a_new_episode(asked: bool) -> None:
+    """The first episode ends after the question, or where one would be asked next."""
+    world, plan = load("throw_and_catch").suite("all"), plan_of("throw_and_catch")
+    batch, fresh = (FreeFlyerExpertBatch(world, plan, 1) for _ in range(2))
+    vector = vector_env(world, num_envs=1, threads=1)
+    joint, _ = vector.reset(seed=SEED)
+    for _ in range(round(WANTED / 0.1) + 1 + 5 * asked):
+        want(batch.progress, 0, (WANTED,) if asked else ())
+        joint = vector.step(batch.act(joint))[0]
+    batch.progress.wanted[0] = -np.inf if asked else WANTED
+    joint, _ = vector.reset(seed=SEED + 1)
+    for _ in range(world.steps):
+        actions = batch.act(joint)
+        np.testing.assert_array_equal(actions, fresh.act(joint))
+        joint = vector.step(actions)[0]
+    assert batch.counts["planned_anew"][0] == batch.counts["no_plan"][0] == 0
+
+
+def exists(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_close_leaves_no_process(expert: FreeFlyerExpert) -> None:
+    world, plan = load("throw_and_catch"), plan_of("throw_and_catch")
+    Run(expert, world, steps=round(WANTED / 0.1) + 5)
+    batch, lost = FreeFlyerExpertBatch(world, plan, 1), make_expert("throw_and_catch")
+    Run(lost, world, steps=round(WANTED / 0.1) + 5)
+    joint, _ = vector_env(world, num_envs=1, threads=1).reset(seed=SEED)
+    batch.act(joint)
+    batch._background._reach_worker()
+    workers = [owner._background._worker for owner in (expert, batch, lost)]
+    pids = [worker.pid for worker in workers if worker is not None]
+    assert [exists(pid) for pid in pids] == [True] * 3
+    expert._background.close()
+    batch.close()
+    del lost, workers
+    gc.collect()
+    assert [exists(pid) for pid in pids] == [False] * 3
+    expert._background.close()
+    batch.close()
+
+
+def request(number: int, **values: object) -> str:
+    scenario = load("throw_and_catch").override(values)
+    return json.dumps({"number": number, "scenario": scenario.model_dump(mode="json"), "impacts": 2}) + "\n"
+
+
+def test_requests_are_answered_line_by_line() -> None:
+    away = {"objects.pop.start_velocity": [0.5, 0.5]}
+    answers = StringIO()
+    answer_requests(StringIO(request(3) + request(5, **away)), answers)
+    found = [json.loads(line) for line in answers.getvalue().splitlines()]
+    assert [line["number"] for line in found] == [3, 5]
+    assert found[1]["plan"] is None
+    plan = Plan.from_json(found[0]["plan"])
+    assert plan.validated
+    assert plan.horizon == 30.0
+    assert set(plan.objects) == {"pop"}
+
+
+def test_no_requests_no_answers() -> None:
+    answers = StringIO()
+    answer_requests(StringIO(""), answers)
+    assert answers.getvalue() == ""
+
+
+def test_requests_without_an_answer_are_null(monkeypatch: pytest.MonkeyPatch) -> None:
+    for error in (Infeasible("plan", "no", "none"), InputError("no")):
+
+        def fail(*arguments: object, error: Exception = error) -> None:
+            raise error
+
+        monkeypatch.setattr(background, "plan_rest", fail)
+        answers = StringIO()
+        answer_requests(StringIO(request(7)), answers)
+        assert json.loads(answers.getvalue()) == {"number": 7, "plan": None}
+
+
+class Forced:
+    """The expert that wants a new plan."""
+
+    name = "forced"
+
+    def __init__(self, expert: FreeFlyerExpert, *times: float) -> None:
+        self._expert, self._times = expert, times
+
+    def reset(self, seed: int) -> None:
+        self._expert.reset(seed)
+
+    def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        want(self._expert.progress, 0, self._times)
+        return self._expert.act(observations)
+
+    def diagnostics(self) -> object:
+        return self._expert.diagnostics()
+
+
+@pytest.mark.usefixtures("inline")
+@pytest.mark.parametrize(("times", "anew"), [((), 0), ((WANTED,), 1)])
+def test_episode_says_how_often_what_is_left_was_optimised(times: tuple[float, ...], anew: int) -> None:
+    expert = make_expert("pong")
+    episode = rollout(parallel_env(load("pong")), Forced(expert, *times), SEED)  # type: ignore[arg-type]
+    counts = dict(zip(COUNTERS, expert.progress.counts[0].tolist(), strict=True))
+    assert episode.reoptimised == {"same_sequence": counts["reoptimised"], "free_sequence": anew}
+    assert episode.reoptimised["same_sequence"] >= 3
+    assert episode.fallbacks == {}
+
+
+@pytest.mark.usefixtures("inline")
+@pytest.mark.parametrize("part", [slice(None), slice(14, 21), slice(-3, None)])
+@pytest.mark.parametrize("since", [-1.0, WANTED - 0.5])
+def test_rubbish_while_a_plan_is_made_never_raises(expert: FreeFlyerExpert, part: slice, since: float) -> None:
+    """Nothing, no object or no time is seen from some time on until after the plan is taken over."""
+
+    def spoil(k: int, observations: dict[str, np.ndarray]) -> None:
+        if since <= 0.1 * k <= WANTED + DELAY + 0.5:
+            for vector in observations.values():
+                vector[part] = np.nan
+
+    run = Run(expert, load("throw_and_catch"), (WANTED,), spoil)
+    assert (np.abs(run.actions) <= 1.0).all()
+    assert run.counts["planned_anew"] + run.counts["no_plan"] <= 1
+
+
+@pytest.mark.parametrize("period", [0.1, 0.2, 0.25])
+def test_past_is_what_was_seen_every_half_second(period: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = load("throw_and_catch").override({"control_period": period})
+    assert isinstance(world, FreeFlyerScenario)
+    found: list[tuple[np.ndarray, dict[str, np.ndarray]]] = []
+
+    def keep(scenario: object, now: float, positions: object, velocities: object, past: Any) -> None:
+        found.append(past)
+        raise InputError("seen enough")
+
+    monkeypatch.setattr(background, "make_remaining_scenario", keep)
+    expert = FreeFlyerExpert(world, plan_of("throw_and_catch"))
+    track: list[np.ndarray] = []
+
+    def see(k: int, observations: dict[str, np.ndarray]) -> None:
+        track.append(observations["snap"][:2].copy())
+
+    Run(expert, world, (WANTED,), see)
+    times, tracks = found[0]
+    np.testing.assert_allclose(times, [*np.arange(0.0, WANTED + 0.1, PAST_PERIOD), WANTED + DELAY])
+    shown = np.array(track)[np.rint(times[:-1] / period).astype(int)]
+    np.testing.assert_allclose(tracks["snap"][:-1], shown, atol=0.05)
+
+
+@pytest.mark.usefixtures("inline")
+def test_adopting_keeps_what_was_learned_and_starting_forgets_it(expert: FreeFlyerExpert) -> None:
+    world = load("throw_and_catch").override({"true.restitution": 0.5})
+    assert isinstance(world, FreeFlyerScenario)
+    Run(expert, world, (), steps=150)
+    progress, now, strike = expert.progress, float(expert.progress.time[0]), expert.progress.strike[0, 0]
+    strike[[EXTRA, INSERTED]] = 3.0, 1.0
+    kept = ("filter", "heading", "sensor", "felt", "hit", "pair", "velocity_error", "past", "time", "touch", "push")
+    before = {name: getattr(progress, name).copy() for name in progress._fields}
+    counts = dict(zip(COUNTERS, before["counts"][0], strict=True))
+    adopt_world(expert.script, progress, 0)
+    for name in kept:
+        np.testing.assert_array_equal(getattr(progress, name), before[name], err_msg=name)
+    assert strike[IMPACT_INDEX] == expert.script.first[0]
+    assert strike[[EXTRA, INSERTED]].tolist() == [0.0, 0.0]
+    assert strike[[LAST, OPTIMISED]].tolist() == [now - SETTLE] * 2  # its flight is known already
+    assert strike[TIME] > now
+    after = dict(zip(COUNTERS, progress.counts[0], strict=True))
+    assert after == counts | {"replans": counts["replans"] + 2}  # each robot's way into the new plan
+    fresh = make_expert("throw_and_catch").progress
+    assert not np.array_equal(progress.pair[..., :-2], fresh.pair[..., :-2])
+    progress.wanted[0] = 3.0
+    start_world(expert.script, progress, EXPERT, 0)
+    np.testing.assert_array_equal(progress.pair[..., :-2], fresh.pair[..., :-2])  # the rest is for computing
+    for name in ("time", "strike", "hit", "clock", "place", "wanted", "counts", "push"):
+        np.testing.assert_array_equal(getattr(progress, name), getattr(fresh, name), err_msg=name)
+
+
+def test_script_that_begins_later_is_the_same_one_later() -> None:
+    world, plan = load("pong"), plan_of("pong")
+    early, late = make_script(world, plan), make_script(world, plan, 7.5)
+    np.testing.assert_allclose(late.impact[:, AT], early.impact[:, AT] + 7.5)
+    np.testing.assert_allclose(late.breaks, early.breaks + 7.5)
+    np.testing.assert_allclose(late.knot[:, 2:4], early.knot[:, 2:4] + 7.5)
+    assert late.horizon == early.horizon + 7.5
+    np.testing.assert_array_equal(late.coefficients, early.coefficients)
+    assert late.impact[-1, AT] > 0.0
+    assert END not in late.first

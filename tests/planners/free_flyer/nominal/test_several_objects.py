@@ -1,0 +1,93 @@
+from functools import cache
+
+import numpy as np
+import pytest
+
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.scenario import load_scenario
+from planners import make_plan
+from planners.free_flyer.nominal.event_sequence import own_events
+from planners.free_flyer.nominal.sequence_search import restrict_to_object
+from planners.plan import Plan
+
+IMPACTS = {"relay": 3, "exchange": 4, "crew": 6}
+EVERY = pytest.mark.parametrize("name", ["relay", "exchange", pytest.param("crew", marks=pytest.mark.slow)])
+
+
+@cache
+def _plan(name: str) -> Plan:
+    return make_plan(name)
+
+
+def _scenario(name: str) -> FreeFlyerScenario:
+    scenario = load_scenario(name)
+    assert isinstance(scenario, FreeFlyerScenario)
+    return scenario
+
+
+@EVERY
+def test_robustness_and_number_of_impacts_are_the_best_possible(name: str) -> None:
+    plan = _plan(name)
+    assert plan.robustness == pytest.approx(0.5, abs=1e-6)
+    assert plan.gap == 0.0
+    assert len(plan.impacts) == IMPACTS[name]
+    assert plan.validated
+
+
+@EVERY
+def test_bodies_touch_only_at_their_impacts(name: str) -> None:
+    scenario, plan = _scenario(name), _plan(name)
+    times = np.linspace(0.0, plan.horizon, 6001)
+    curves = plan.robots | plan.objects
+    bodies = list(curves)
+    for i, first in enumerate(bodies):
+        for second in bodies[i + 1 :]:
+            apart = np.linalg.norm(curves[first].position(times) - curves[second].position(times), axis=1)
+            touching = scenario.body(first).radius + scenario.body(second).radius
+            own = [hit.time for hit in plan.impacts if (hit.robot, hit.object) == (first, second)]
+            away = np.all([np.abs(times - hit) > 5.0 for hit in own], axis=0) if own else np.full(len(times), True)
+            assert apart[away].min() > touching + 0.05
+            assert apart.min() > touching - 1e-6
+
+
+@EVERY
+def test_objects_change_their_velocity_only_when_they_are_hit(name: str) -> None:
+    plan = _plan(name)
+    for item, curve in plan.objects.items():
+        own = [hit.time for hit in plan.impacts if hit.object == item]
+        np.testing.assert_allclose(curve.times, [0.0, *own, plan.horizon])
+        assert curve.degree == 1
+
+
+@EVERY
+def test_effort_of_all_words_is_bounded(name: str) -> None:
+    plan = _plan(name)
+    assert plan.effort_bound is not None
+    assert 0.0 < plan.effort_bound <= plan.effort + 1e-6
+
+
+def test_exchange_is_within_a_tenth_of_the_bound_over_all_words() -> None:
+    plan = _plan("exchange")
+    assert plan.effort_bound is not None
+    assert plan.effort <= 1.1 * plan.effort_bound
+
+
+def test_scenario_of_one_object_keeps_what_the_formula_asks_of_it_and_the_robots() -> None:
+    alone = restrict_to_object(_scenario("crew"), "drop")
+    assert alone is not None
+    assert tuple(alone.objects) == ("drop",)
+    assert alone.specification.bodies() == ("drop", "snap", "crackle", "fizz", "bang")
+    assert restrict_to_object(_scenario("exchange").override({"formula": "G[100,100] pop in east"}), "plop") is None
+
+
+def test_object_without_a_task_stays_where_it_is_and_is_not_touched() -> None:
+    plan = make_plan(_scenario("exchange").override({"formula": "G[100,100] pop in east"}))
+    assert {hit.object for hit in plan.impacts} == {"pop"}
+    assert np.ptp(plan.objects["plop"].position(np.linspace(0.0, 100.0, 101)), axis=0).max() == 0.0
+
+
+def test_own_events_are_both_ends_and_the_hits_of_the_object() -> None:
+    word = (("snap", "pop"), ("crackle", "plop"), ("snap", "pop"))
+    assert own_events(word, "pop") == [0, 1, 3, 4]
+    assert own_events(word, "plop") == [0, 2, 4]
+    assert own_events((), "pop") == [0, 1]
