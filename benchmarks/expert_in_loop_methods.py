@@ -156,24 +156,24 @@ def make_published(scenario: FreeFlyerScenario, plan: Plan) -> Loop:
 
 def fill(expert: FreeFlyerExpert, r: int) -> None:
     """Write robot r's tracking problem into the expert's workspace, as the expert does."""
-    script, progress, workspace = expert.script, expert.progress, expert.workspace
-    o = find_strike(progress, 0, r)
+    table, memory, workspace = expert.table, expert.memory, expert.workspace
+    o = find_strike(memory, 0, r)
     if o != END:
-        strike = progress.strike[0, o]
-        if strike[INSERTED] == 0.0 and strike[TIME] > find_next_event(script, progress, 0, r)[0] + ROUND_OFF:
+        strike = memory.strike[0, o]
+        if strike[INSERTED] == 0.0 and strike[TIME] > find_next_event(table, memory, 0, r)[0] + ROUND_OFF:
             o = END
-    fill_reference(script, progress, workspace, 0, 0, r, o)
-    z, heading = progress.filter[0, r], progress.heading[0, r]
+    fill_reference(table, memory, workspace, 0, 0, r, o)
+    z, heading = memory.filter[0, r], memory.heading[0, r]
     workspace.state[0] = z[0], z[1], heading[0], z[2], z[3], heading[1]
 
 
 def note_push(expert: FreeFlyerExpert, r: int, action: np.ndarray, problem: TrackingProblem) -> None:
     """Tell the expert's estimator which acceleration an action will cause."""
-    heading, rate = expert.progress.heading[0, r]
+    heading, rate = expert.memory.heading[0, r]
     turned = heading + rate * problem.period / 2
     push = action[:2] * problem.limits[:2] * problem.gains[:2]
     c, s = np.cos(turned), np.sin(turned)
-    expert.progress.push[0, r] = c * push[0] - s * push[1], s * push[0] + c * push[1]
+    expert.memory.push[0, r] = c * push[0] - s * push[1], s * push[0] + c * push[1]
 
 
 def record_problems(scenario: FreeFlyerScenario, plan: Plan, steps: int) -> list[Problems]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
 from types import FunctionType
@@ -43,8 +43,18 @@ def refresh(dispatcher: Any) -> Any:
     numba looks at the function's own file only, although what it calls from other files is compiled into it.
     """
     if hasattr(dispatcher, "py_func"):  # not with NUMBA_DISABLE_JIT
-        dispatcher._cache._cache_file._source_stamp = _read_sources(Path(dispatcher.py_func.__code__.co_filename))
+        file = dispatcher._cache._cache_file
+        file._source_stamp = _read_sources(Path(dispatcher.py_func.__code__.co_filename))
+        file._load_index = partial(_load_index, file._load_index)
     return dispatcher
+
+
+def _load_index(load: Callable[[], dict[Any, Any]]) -> dict[Any, Any]:
+    """Return what is on disk of a function; nothing if it was written with types that have another name by now."""
+    try:
+        return load()
+    except (AttributeError, ImportError):
+        return {}
 
 
 @cache

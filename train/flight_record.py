@@ -43,7 +43,7 @@ class FlightRecord:
 
     Attributes:
         plan: that the policy follows, None without one.
-        events: time [s] and name, of ``progress.COUNTERS``, of whatever the expert counted.
+        events: time [s] and name, of `world_memory.COUNTERS`, of whatever the expert counted.
         replans: time [s] and robot whose course was planned anew, to an impact or back to the plan.
         expectations: one per replan to an impact.
         courses: robot to time, x, y, vx, vy that it was to have at each control step, shape (T, 5) [s, m, m/s].
@@ -79,22 +79,22 @@ class FlightRecord:
         self._courses: dict[str, list[tuple[float, ...]]] = {}
 
     def _add_step(self, expert: FreeFlyerExpert, scenario: FreeFlyerScenario) -> None:
-        script, progress = expert.script, expert.progress
-        now, robots = float(progress.time[0]), list(scenario.robots)
-        grown = progress.counts[0] - self._counts
-        self._counts = progress.counts[0].copy()
+        table, memory = expert.table, expert.memory
+        now, robots = float(memory.time[0]), list(scenario.robots)
+        grown = memory.counts[0] - self._counts
+        self._counts = memory.counts[0].copy()
         self.events += [(now, name) for name, n in zip(COUNTERS, grown, strict=True) for _ in range(n)]
         for r, name in enumerate(robots):
-            motion = evaluate_course(progress.course, script.breaks, script.coefficients, 0, r, now)
+            motion = evaluate_course(memory.course, table.breaks, table.coefficients, 0, r, now)
             self._courses.setdefault(name, []).append((now, *motion[:4]))
-            course = progress.course[0, r]
+            course = memory.course[0, r]
             if course[SINCE] == now < course[UNTIL]:
                 self.replans.append((now, name))
-        for o, (name, strike) in enumerate(zip(scenario.objects, progress.strike[0], strict=True)):
+        for o, (name, strike) in enumerate(zip(scenario.objects, memory.strike[0], strict=True)):
             if strike[REPLANNED] != now:
                 continue
             times = np.linspace(now, strike[TIME], WAY)
-            way = [(t, *extrapolate(progress, 0, script.robots + o, t)[:2]) for t in times]
+            way = [(t, *extrapolate(memory, 0, table.robots + o, t)[:2]) for t in times]
             self.expectations.append(Expectation(robots[int(strike[AGENT])], name, np.array(way)))
 
 

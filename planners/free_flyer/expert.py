@@ -17,7 +17,7 @@ from impact_envs.rollout import Diagnostics
 from planners.free_flyer.belief.estimator import extrapolate
 from planners.free_flyer.belief.impact_parameters import NOW, compute_gain_spread, compute_pair_gain, find_row, get_pair
 from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options
-from planners.free_flyer.belief.plan_table import END, MASS, PLACE_X, PLACE_Y, ROBOT, make_script
+from planners.free_flyer.belief.plan_table import END, MASS, PLACE_X, PLACE_Y, ROBOT, make_plan_table
 from planners.free_flyer.belief.world_memory import (
     AGENT,
     COUNTERS,
@@ -28,7 +28,7 @@ from planners.free_flyer.belief.world_memory import (
     SEEN,
     TIME,
     TURN,
-    make_progress,
+    make_world_memory,
 )
 from planners.free_flyer.closed_loop.background import Background
 from planners.free_flyer.closed_loop.world_loop import ADOPT, CONTROL, OBSERVE, START, run_experts
@@ -128,14 +128,14 @@ class FreeFlyerExpert:
         self.name, self.plan = variant or "expert", plan
         self.options = get_options(variant) if options is None else options
         self._scenario = scenario.as_believed()
-        self.script = make_script(self._scenario, plan)
-        self.progress, self.workspace = make_progress(self.script, 1), make_workspace()
+        self.table = make_plan_table(self._scenario, plan)
+        self.memory, self.workspace = make_world_memory(self.table, 1), make_workspace()
         robots, bodies = len(scenario.robots), len(scenario.bodies)
         self._joint = np.zeros((1, BODY_SIZE * bodies + robots + TAIL_SIZE - 1))
         self._actions, self._due = np.zeros((1, robots, 3)), np.full(1, END)
-        self._planned = self.script
+        self._planned = self.table
         self._background = Background(self._scenario)
-        tables = self.progress, self.options, self.workspace, make_program()
+        tables = self.memory, self.options, self.workspace, make_program()
         self._arrays = tuple(tuple(table) for table in tables)
         place = {name: i for i, name in enumerate(scenario.bodies)}
         self._order = [place[name] for name in observed_order(scenario, scenario.agents[0])]
@@ -150,7 +150,7 @@ class FreeFlyerExpert:
             seed: unused, the expert is deterministic.
         """
         self._seconds, self._solve_seconds = 0.0, list[float]()
-        self.script = self._planned
+        self.table = self._planned
         self._background.forget(0)
         self._run(START)
 
@@ -161,7 +161,7 @@ class FreeFlyerExpert:
 
     def diagnostics(self) -> Diagnostics:
         """Return computing times, fallbacks and replans since reset."""
-        counts = dict(zip(COUNTERS, self.progress.counts[0].tolist(), strict=True))
+        counts = dict(zip(COUNTERS, self.memory.counts[0].tolist(), strict=True))
         found = Diagnostics(list(self._solve_seconds), replans=counts["replans"])
         found.reoptimised.update({"same_sequence": counts["reoptimised"], "free_sequence": counts["planned_anew"]})
         found.fallbacks.update({name: n for name, n in counts.items() if n and name not in ROUTINE})
@@ -174,9 +174,9 @@ class FreeFlyerExpert:
             observations: robot to its observation.
         """
         if self.options.plan_anew:
-            script = self._background.look(self.script, self.progress, 0)
-            if script is not None:
-                self.script = script
+            table = self._background.look(self.table, self.memory, 0)
+            if table is not None:
+                self.table = table
                 self._run(ADOPT)
         begin = time.perf_counter()
         joint, agents = self._joint[0], self._scenario.agents
@@ -212,7 +212,7 @@ class FreeFlyerExpert:
             raise InputError(f"correction must be 2 finite numbers, got {np.array2string(values, threshold=8)}")
         if not self.awaiting_correction:
             raise InputError("no correction is awaited now; see awaiting_correction")
-        strike = self.progress.strike[0, self._due[0]]
+        strike = self.memory.strike[0, self._due[0]]
         strike[SCALE], strike[TURN] = np.clip(values, -1.0, 1.0)
 
     def features(self) -> np.ndarray:
@@ -226,35 +226,35 @@ class FreeFlyerExpert:
             of the robot relative to the object; estimated over believed velocity gain and its standard deviation;
             estimated drift of the object (2) [m/s^2]. Zeros when no impact is to come.
         """
-        script, progress, o = self.script, self.progress, int(self._due[0])
+        table, memory, o = self.table, self.memory, int(self._due[0])
         if o == END:
-            times = progress.strike[0, :, TIME]
+            times = memory.strike[0, :, TIME]
             o = int(np.argmin(times))
-        strike = progress.strike[0, o]
+        strike = memory.strike[0, o]
         index = int(strike[IMPACT_INDEX])
         if index == END:
             return np.zeros(self.feature_size)
-        planned, body = script.impact[index], script.robots + o
-        x, y, vx, vy = extrapolate(progress, 0, body, strike[TIME])
-        wish = np.array(aim(script, progress, self.options, 0, o))
+        planned, body = table.impact[index], table.robots + o
+        x, y, vx, vy = extrapolate(memory, 0, body, strike[TIME])
+        wish = np.array(aim(table, memory, self.options, 0, o))
         one_hot = np.zeros(ONE_HOT)
         one_hot[min(index, ONE_HOT - 1)] = 1.0
-        _, due, _ = find_next_knot(script, progress, 0, o, strike[INSERTED] > 0.0)
-        hit, z = progress.hit[0, o], progress.filter[0]
-        now, r = progress.time[0], int(strike[AGENT])
-        believed = compute_velocity_gain(script.restitution, script.body[r, MASS], script.body[body, MASS])
-        factor = compute_pair_gain(progress, 0, r, o) / believed
+        _, due, _ = find_next_knot(table, memory, 0, o, strike[INSERTED] > 0.0)
+        hit, z = memory.hit[0, o], memory.filter[0]
+        now, r = memory.time[0], int(strike[AGENT])
+        believed = compute_velocity_gain(table.restitution, table.body[r, MASS], table.body[body, MASS])
+        factor = compute_pair_gain(memory, 0, r, o) / believed
         return np.concatenate(
             [
                 one_hot,
-                [now / script.horizon, strike[TIME] - now, due - strike[TIME]],
+                [now / table.horizon, strike[TIME] - now, due - strike[TIME]],
                 [x - planned[PLACE_X], y - planned[PLACE_Y]],
                 z[body, 2:4],
                 wish,
                 wish - [vx, vy],
                 [hit[RATIO] or 1.0, hit[SEEN]],
                 z[int(planned[ROBOT]), :4] - z[body, :4],
-                [factor, factor * compute_gain_spread(progress, 0, r, o)],
+                [factor, factor * compute_gain_spread(memory, 0, r, o)],
                 z[body, 4:6],
             ]
         )
@@ -264,9 +264,9 @@ class FreeFlyerExpert:
         found = {}
         for r, robot in enumerate(self._scenario.robots):
             for o, item in enumerate(self._scenario.objects):
-                restitution, ratio = get_pair(self.progress, 0, r, o)
-                i = find_row(self.progress, r, o)
-                variances = self.progress.pair[0, NOW, [i, i + 1], [1 + i, 2 + i]]
+                restitution, ratio = get_pair(self.memory, 0, r, o)
+                i = find_row(self.memory, r, o)
+                variances = self.memory.pair[0, NOW, [i, i + 1], [1 + i, 2 + i]]
                 spread = np.sqrt(np.maximum(variances, 0.0))
                 found[robot, item] = PairEstimate(restitution, ratio, float(spread[0]), float(ratio * spread[1]))
         return found
@@ -284,4 +284,4 @@ class FreeFlyerExpert:
         return dict(zip(self._scenario.agents, self._actions[0].copy(), strict=True))
 
     def _run(self, phase: int) -> None:
-        cast(Any, run_experts)(tuple(self.script), *self._arrays, self._joint, self._actions, self._due, phase, 0, 0, 1)
+        cast(Any, run_experts)(tuple(self.table), *self._arrays, self._joint, self._actions, self._due, phase, 0, 0, 1)

@@ -12,8 +12,8 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.free_flyer.belief.options import Options
-from planners.free_flyer.belief.plan_table import END, Script, make_script
-from planners.free_flyer.belief.world_memory import COUNTERS, make_progress
+from planners.free_flyer.belief.plan_table import END, PlanTable, make_plan_table
+from planners.free_flyer.belief.world_memory import COUNTERS, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
 from planners.free_flyer.closed_loop.world_loop import ACT, ADOPT, run_experts
 from planners.free_flyer.expert import check_plan, get_options
@@ -53,21 +53,21 @@ class FreeFlyerExpertBatch:
         self.count, self.robots = count, len(scenario.robots)
         self.size = BODY_SIZE * len(scenario.bodies) + self.robots + TAIL_SIZE - 1
         believed = scenario.as_believed()
-        self._script, self._own = make_script(believed, plan), dict[int, Script]()
+        self._table, self._own = make_plan_table(believed, plan), dict[int, PlanTable]()
         self._background = Background(believed)
-        self.progress = make_progress(self._script, count)
+        self.memory = make_world_memory(self._table, count)
         self._threads = min(threads, count)
         chosen = get_options(variant) if options is None else options
         workspace, program = make_workspace(self._threads), make_program(self._threads)
         self._plan_anew = chosen.plan_anew
-        self._arrays = tuple(self.progress), tuple(chosen), tuple(workspace), tuple(program)
+        self._arrays = tuple(self.memory), tuple(chosen), tuple(workspace), tuple(program)
         self._due = np.full(count, END)
         self._pool: ThreadPoolExecutor | None = None
 
     @property
     def counts(self) -> dict[str, np.ndarray]:
         """Return how often what happened since each world's start, name to shape (N,)."""
-        return dict(zip(COUNTERS, self.progress.counts.T, strict=True))
+        return dict(zip(COUNTERS, self.memory.counts.T, strict=True))
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Return every world's joint action.
@@ -88,21 +88,21 @@ class FreeFlyerExpertBatch:
         for k in np.flatnonzero(joint[:, self.size - 3] == 0.0).tolist():  # starts anew
             self._own.pop(k, None)
             self._background.forget(k)
-            self.progress.wanted[k] = np.inf
+            self.memory.wanted[k] = np.inf
         if self._plan_anew:
-            for k in self._background.find_busy(self.progress).tolist():
-                script = self._background.look(self._own.get(k, self._script), self.progress, k)
-                if script is not None:
-                    self._own[k] = script
-                    self._run(script, joint, actions, ADOPT, 0, k, k + 1)
+            for k in self._background.find_busy(self.memory).tolist():
+                table = self._background.look(self._own.get(k, self._table), self.memory, k)
+                if table is not None:
+                    self._own[k] = table
+                    self._run(table, joint, actions, ADOPT, 0, k, k + 1)
 
         def share(thread: int) -> None:
             first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
             for k in sorted(k for k in self._own if first <= k < end):
-                self._run(self._script, joint, actions, ACT, thread, first, k)
+                self._run(self._table, joint, actions, ACT, thread, first, k)
                 self._run(self._own[k], joint, actions, ACT, thread, k, k + 1)
                 first = k + 1
-            self._run(self._script, joint, actions, ACT, thread, first, end)
+            self._run(self._table, joint, actions, ACT, thread, first, end)
 
         if self._threads == 1:
             share(0)
@@ -112,9 +112,9 @@ class FreeFlyerExpertBatch:
         return actions.reshape(self.count, -1)
 
     def _run(
-        self, script: Script, joint: np.ndarray, actions: np.ndarray, phase: int, thread: int, first: int, end: int
+        self, table: PlanTable, joint: np.ndarray, actions: np.ndarray, phase: int, thread: int, first: int, end: int
     ) -> None:
-        cast(Any, run_experts)(tuple(script), *self._arrays, joint, actions, self._due, phase, thread, first, end)
+        cast(Any, run_experts)(tuple(table), *self._arrays, joint, actions, self._due, phase, thread, first, end)
 
     def close(self) -> None:
         """Let the threads and the background's process go; the next act starts new ones."""

@@ -23,7 +23,7 @@ from planners.free_flyer.belief.plan_table import (
     START_VY,
     START_X,
     START_Y,
-    Script,
+    PlanTable,
 )
 from planners.free_flyer.belief.world_memory import (
     APPROACH,
@@ -40,7 +40,7 @@ from planners.free_flyer.belief.world_memory import (
     SQUARE,
     UNKNOWN,
     WEIGHT,
-    Progress,
+    WorldMemory,
 )
 from planners.free_flyer.impact_law import compute_velocity_gain
 
@@ -152,24 +152,24 @@ def shift(z: np.ndarray, px: float, py: float, vx: float, vy: float, sigma_p: fl
 
 
 @compiled
-def open_filters(script: Script, progress: Progress, options: Options, k: int) -> None:
+def open_filters(plan: PlanTable, memory: WorldMemory, options: Options, k: int) -> None:
     """Start world k's estimates as the scenario says."""
-    for i in range(len(script.body)):
-        z = progress.filter[k, i]
+    for i in range(len(plan.body)):
+        z = memory.filter[k, i]
         for column in range(len(z)):
             z[column] = 0.0
-        z[0], z[1] = script.body[i, START_X], script.body[i, START_Y]
-        z[2], z[3] = script.body[i, START_VX], script.body[i, START_VY]
+        z[0], z[1] = plan.body[i, START_X], plan.body[i, START_Y]
+        z[2], z[3] = plan.body[i, START_VX], plan.body[i, START_VY]
         z[6], z[9] = START_POSITION * START_POSITION, START_VELOCITY * START_VELOCITY
-        if options.drift and i >= script.robots and script.body[i, KEEPS] == 0.0:
+        if options.drift and i >= plan.robots and plan.body[i, KEEPS] == 0.0:
             z[11] = DRIFT * DRIFT
-        progress.heading[k, i, 0], progress.heading[k, i, 1] = script.body[i, HOME], 0.0
-    progress.sensor[k, SIGMA], progress.sensor[k, WEIGHT] = POSITION_PRIOR, 0.0
-    progress.sensor[k, SQUARE], progress.sensor[k, SAMPLES] = 0.0, 0.0
+        memory.heading[k, i, 0], memory.heading[k, i, 1] = plan.body[i, HOME], 0.0
+    memory.sensor[k, SIGMA], memory.sensor[k, WEIGHT] = POSITION_PRIOR, 0.0
+    memory.sensor[k, SQUARE], memory.sensor[k, SAMPLES] = 0.0, 0.0
 
 
 @compiled
-def update_estimates(script: Script, progress: Progress, k: int, joint: np.ndarray, now: float) -> None:
+def update_estimates(plan: PlanTable, memory: WorldMemory, k: int, joint: np.ndarray, now: float) -> None:
     """Take in one sample of world k: move all filters ahead, apply felt impacts, correct by what was measured.
 
     How noisy positions are is learned from the objects: between contacts their acceleration is constant, so the third
@@ -177,93 +177,93 @@ def update_estimates(script: Script, progress: Progress, k: int, joint: np.ndarr
     over.
 
     Args:
-        script: what is believed.
-        progress: of all worlds; ``touch`` says afterwards who was hit.
+        plan: what is believed.
+        memory: of all worlds; ``touch`` says afterwards who was hit.
         k: world.
         joint: everything measured once, shape (N, 7 n + r + 3).
         now: time of the sample [s].
     """
-    h, n, r = now - progress.time[k], len(script.body), script.robots
-    progress.time[k] = now
+    h, n, r = now - memory.time[k], len(plan.body), plan.robots
+    memory.time[k] = now
     for i in range(n):
-        ux, uy = (progress.push[k, i, 0], progress.push[k, i, 1]) if i < r else (0.0, 0.0)
-        keeps = script.body[i, KEEPS] > 0.0
+        ux, uy = (memory.push[k, i, 0], memory.push[k, i, 1]) if i < r else (0.0, 0.0)
+        keeps = plan.body[i, KEEPS] > 0.0
         unmodelled = THRUST + THRUST_SHARE * math.hypot(ux, uy) if i < r else KEPT if keeps else FLIGHT
-        predict(progress.filter[k, i], ux, uy, h, unmodelled)
+        predict(memory.filter[k, i], ux, uy, h, unmodelled)
     calm = True
     for i in range(r):
-        progress.touch[k, i] = NOBODY
+        memory.touch[k, i] = NOBODY
         if joint[k, BODY_SIZE * n + i] > 0.5:
             calm = False
-            other = find_nearest(script, progress, k, i)
-            progress.touch[k, i] = other
+            other = find_nearest(plan, memory, k, i)
+            memory.touch[k, i] = other
             if other == UNKNOWN:
-                shift(progress.filter[k, i], 0.0, 0.0, 0.0, 0.0, UNSEEN_JUMP * h, UNSEEN_JUMP)
+                shift(memory.filter[k, i], 0.0, 0.0, 0.0, 0.0, UNSEEN_JUMP * h, UNSEEN_JUMP)
             else:
-                apply_impact(script, progress, k, i, other, h)
-    variance = progress.sensor[k, SIGMA] * progress.sensor[k, SIGMA]
+                apply_impact(plan, memory, k, i, other, h)
+    variance = memory.sensor[k, SIGMA] * memory.sensor[k, SIGMA]
     for i in range(n):
-        z, at = progress.filter[k, i], BODY_SIZE * i
+        z, at = memory.filter[k, i], BODY_SIZE * i
         miss = math.hypot(joint[k, at] - z[0], joint[k, at + 1] - z[1])
         if math.isfinite(miss) and miss > SURPRISE * math.sqrt(z[6] + variance) + SURPRISE_FLOOR:
-            shift(z, 0.0, 0.0, 0.0, 0.0, miss, miss / script.period)
+            shift(z, 0.0, 0.0, 0.0, 0.0, miss, miss / plan.period)
             calm = False
-    learn_noise(progress, k, joint, r, calm)
-    variance = progress.sensor[k, SIGMA] * progress.sensor[k, SIGMA]
-    slow = VELOCITY_RATIO / script.period
+    learn_noise(memory, k, joint, r, calm)
+    variance = memory.sensor[k, SIGMA] * memory.sensor[k, SIGMA]
+    slow = VELOCITY_RATIO / plan.period
     for i in range(n):
-        z, at, total = progress.filter[k, i], BODY_SIZE * i, 0.0
+        z, at, total = memory.filter[k, i], BODY_SIZE * i, 0.0
         for j in range(BODY_SIZE):
             total += joint[k, at + j]
         if not math.isfinite(total):
-            progress.counts[k, NO_MEASUREMENT] += 1
+            memory.counts[k, NO_MEASUREMENT] += 1
             continue
         if calm:
             dx, dy = joint[k, at + 2] - z[2], joint[k, at + 3] - z[3]
-            learn_velocity_error(progress, k, i, dx * dx + dy * dy, slow * slow * variance)
+            learn_velocity_error(memory, k, i, dx * dx + dy * dy, slow * slow * variance)
         correct_position(z, joint[k, at], joint[k, at + 1], variance)
         correct_velocity(z, joint[k, at + 2], joint[k, at + 3], slow * slow * variance)
         # The measured angle is only known up to whole turns.
-        turn = math.atan2(joint[k, at + 5], joint[k, at + 4]) - script.body[i, HOME]
+        turn = math.atan2(joint[k, at + 5], joint[k, at + 4]) - plan.body[i, HOME]
         turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
-        progress.heading[k, i, 0], progress.heading[k, i, 1] = script.body[i, HOME] + turn, joint[k, at + 6]
+        memory.heading[k, i, 0], memory.heading[k, i, 1] = plan.body[i, HOME] + turn, joint[k, at + 6]
 
 
 @compiled
-def find_nearest(script: Script, progress: Progress, k: int, i: int) -> int:
+def find_nearest(plan: PlanTable, memory: WorldMemory, k: int, i: int) -> int:
     """Return the body nearest to robot i, UNKNOWN if none is near."""
-    best, found, z = NEAR, UNKNOWN, progress.filter[k, i]
-    for j in range(len(script.body)):
+    best, found, z = NEAR, UNKNOWN, memory.filter[k, i]
+    for j in range(len(plan.body)):
         if j != i:
-            y = progress.filter[k, j]
-            gap = math.hypot(y[0] - z[0], y[1] - z[1]) - script.body[i, RADIUS] - script.body[j, RADIUS]
+            y = memory.filter[k, j]
+            gap = math.hypot(y[0] - z[0], y[1] - z[1]) - plan.body[i, RADIUS] - plan.body[j, RADIUS]
             if gap < best:
                 best, found = gap, j
     return found
 
 
 @compiled
-def apply_impact(script: Script, progress: Progress, k: int, i: int, j: int, h: float) -> None:
+def apply_impact(plan: PlanTable, memory: WorldMemory, k: int, i: int, j: int, h: float) -> None:
     """Apply Eq. 6 to the estimates; how deep free flight would have overlapped says how long ago it was."""
-    a, b = progress.filter[k, i], progress.filter[k, j]
+    a, b = memory.filter[k, i], memory.filter[k, j]
     x, y = b[0] - a[0], b[1] - a[1]
     distance = math.hypot(x, y)
     nx, ny = (x / distance, y / distance) if distance > 0 else (1.0, 0.0)
     approach = max((a[2] - b[2]) * nx + (a[3] - b[3]) * ny, 0.0)
-    reach = script.body[i, RADIUS] + script.body[j, RADIUS]
+    reach = plan.body[i, RADIUS] + plan.body[j, RADIUS]
     ago = min(max(reach - distance, 0.0) / approach, h) if approach > 0.0 else 0.0
-    m_a, m_b = script.body[i, MASS], script.body[j, MASS]
-    gain, ratio = compute_velocity_gain(script.restitution, m_a, m_b), m_b / m_a
-    if j >= script.robots:
-        o = j - script.robots
-        gain, ratio = compute_pair_gain(progress, k, i, o), get_pair(progress, k, i, o)[1]
+    m_a, m_b = plan.body[i, MASS], plan.body[j, MASS]
+    gain, ratio = compute_velocity_gain(plan.restitution, m_a, m_b), m_b / m_a
+    if j >= plan.robots:
+        o = j - plan.robots
+        gain, ratio = compute_pair_gain(memory, k, i, o), get_pair(memory, k, i, o)[1]
     # The velocities are those of the end of the step.
-    approach = max(approach - ago * (progress.push[k, i, 0] * nx + progress.push[k, i, 1] * ny), 0.0)
-    felt = progress.felt[k, i]
+    approach = max(approach - ago * (memory.push[k, i, 0] * nx + memory.push[k, i, 1] * ny), 0.0)
+    felt = memory.felt[k, i]
     felt[APPROACH], felt[HIT_X], felt[HIT_Y], felt[FREE_X], felt[FREE_Y] = approach, nx, ny, a[2], a[3]
     felt[OBJECT_ERROR] = b[9]
     # What is learned of the thrust takes the place of what the filter believes of it.
-    felt[ROBOT_ERROR] = max(a[9] - THRUST * THRUST * h * h, 0.0) + progress.velocity_error[k, i]
+    felt[ROBOT_ERROR] = max(a[9] - THRUST * THRUST * h * h, 0.0) + memory.velocity_error[k, i]
     for body in (0, 1):
         change = gain * approach if body == 0 else -gain * approach * ratio
         sigma = UNTRUSTED_JUMP * abs(change) + UNKNOWN_JUMP
@@ -272,12 +272,12 @@ def apply_impact(script: Script, progress: Progress, k: int, i: int, j: int, h: 
 
 
 @compiled
-def learn_noise(progress: Progress, k: int, joint: np.ndarray, robots: int, calm: bool) -> None:
+def learn_noise(memory: WorldMemory, k: int, joint: np.ndarray, robots: int, calm: bool) -> None:
     """Take the third difference of the objects' positions into the estimate of the noise, unless something happened."""
-    sensor, objects = progress.sensor[k], progress.recent.shape[1]
+    sensor, objects = memory.sensor[k], memory.recent.shape[1]
     samples = sensor[SAMPLES] if calm else 0.0
     for o in range(objects):
-        recent, at = progress.recent[k, o], BODY_SIZE * (robots + o)
+        recent, at = memory.recent[k, o], BODY_SIZE * (robots + o)
         x, y = joint[k, at], joint[k, at + 1]
         if samples >= 3.0:
             dx = x - 3.0 * recent[4] + 3.0 * recent[2] - recent[0]
@@ -297,19 +297,19 @@ def learn_noise(progress: Progress, k: int, joint: np.ndarray, robots: int, calm
 
 
 @compiled
-def extrapolate(progress: Progress, k: int, i: int, time: float) -> tuple[float, float, float, float]:
+def extrapolate(memory: WorldMemory, k: int, i: int, time: float) -> tuple[float, float, float, float]:
     """Return position and velocity of body i in free flight at a time.
 
     Source: Verhagen & Tumova, Sec. VI, with the estimated drift added.
     """
-    z, h = progress.filter[k, i], time - progress.time[k]
+    z, h = memory.filter[k, i], time - memory.time[k]
     x, y = z[0] + h * (z[2] + h / 2 * z[4]), z[1] + h * (z[3] + h / 2 * z[5])
     return x, y, z[2] + h * z[4], z[3] + h * z[5]
 
 
 @compiled
-def compute_variance(progress: Progress, k: int, i: int, time: float) -> float:
+def compute_variance(memory: WorldMemory, k: int, i: int, time: float) -> float:
     """Return the variance per axis of where body i is in free flight at a time [m^2]."""
-    z, h = progress.filter[k, i], time - progress.time[k]
+    z, h = memory.filter[k, i], time - memory.time[k]
     pp, pv, pa, vv, va, aa = z[6], z[7], z[8], z[9], z[10], z[11]
     return pp + 2 * h * pv + h * h * (pa + vv) + h**3 * va + h**4 / 4 * aa

@@ -12,17 +12,17 @@ from planners.free_flyer.tracking.course import convert_curve
 from planners.free_flyer.tracking.mpc import build_tracking_problem
 from planners.plan import Plan
 
-# Columns of Script.body.
+# Columns of PlanTable.body.
 START_X, START_Y, HOME, MASS, RADIUS, SPEED, KEEPS, START_VX, START_VY = range(9)
-# Columns of Script.impact.
+# Columns of PlanTable.impact.
 AT, ROBOT, OBJECT, PLACE_X, PLACE_Y, NORMAL_X, NORMAL_Y, NEXT, KNOT = range(9)
-# Columns of Script.knot.
+# Columns of PlanTable.knot.
 KNOT_X, KNOT_Y, OPEN, CLOSE, DEPTH, FACES = range(6)
 TOUCHING = 0.1  # touching a wall counts as so far inside of what a robot may not leave [m]
 END = -1  # of an object's impacts
 
 
-class Script(NamedTuple):
+class PlanTable(NamedTuple):
     """What every world's expert follows; K impacts in order of time, n bodies of which the first r are robots.
 
     Attributes:
@@ -60,7 +60,7 @@ class Script(NamedTuple):
     pilot: np.ndarray
 
 
-def make_script(scenario: FreeFlyerScenario, plan: Plan, begin: float = 0.0) -> Script:
+def make_plan_table(scenario: FreeFlyerScenario, plan: Plan, begin: float = 0.0) -> PlanTable:
     """Make the tables of a plan.
 
     Args:
@@ -85,12 +85,12 @@ def make_script(scenario: FreeFlyerScenario, plan: Plan, begin: float = 0.0) -> 
     impact, first, knots = _make_impacts(scenario, plan)
     faces = max((len(knot.faces) for knot in knots), default=0)
     face = np.zeros((len(knots), max(faces, 1), 3))
-    table = np.zeros((len(knots), 6))
+    knot_rows = np.zeros((len(knots), 6))
     for i, knot in enumerate(knots):
         for j, row in enumerate(knot.faces):
             face[i, j] = row / np.hypot(*row[:2])
         margins = [row[2] - row[:2] @ knot.position for row in face[i, : len(knot.faces)]]
-        table[i] = (
+        knot_rows[i] = (
             *knot.position,
             *(begin + time for time in knot.window),
             min(margins, default=np.inf),
@@ -98,7 +98,7 @@ def make_script(scenario: FreeFlyerScenario, plan: Plan, begin: float = 0.0) -> 
         )
     impact[:, AT] += begin
     breaks, coefficients = _make_curves(scenario, plan)
-    return Script(
+    return PlanTable(
         float(scenario.control_period),
         begin + float(plan.horizon),
         float(scenario.believed.restitution),
@@ -106,7 +106,7 @@ def make_script(scenario: FreeFlyerScenario, plan: Plan, begin: float = 0.0) -> 
         np.array(rows, dtype=float),
         impact,
         first,
-        table,
+        knot_rows,
         face,
         _make_own_faces(scenario),
         begin + breaks,

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
-from planners.free_flyer.belief.plan_table import AT, END, NEXT, ROBOT, Script
+from planners.free_flyer.belief.plan_table import AT, END, NEXT, ROBOT, PlanTable
 from planners.free_flyer.tracking.course import COURSE_SIZE, IMPACT
 from planners.free_flyer.tracking.mpc import STAGES
 
 FILTER_SIZE, SENSOR_SIZE = 12, 4
-# Columns of Progress.strike, the coming impact of an object. IMPACT_INDEX: in the plan, or END if none is left;
+# Columns of strike, the coming impact of an object. IMPACT_INDEX: in the plan, or END if none is left;
 # INSERTED: 1 if it is none of the plan; AGENT: robot that hits; SCALE, TURN: correction of the impulse; SOLVED: 1 if
 # the two-body problem was solved; LAST: time of the object's last contact; LOOKED, OPTIMISED: times of
 # the last retiming and re-optimisation; ASTRAY: since when it misses its next knot with nobody to mend it, or inf.
@@ -49,10 +49,10 @@ FILTER_SIZE, SENSOR_SIZE = 12, 4
     ASTRAY,
     STRIKE_SIZE,
 ) = range(30)
-# Columns of Progress.felt, the last contact of a robot: estimated approach speed, normal, velocity of the robot without
+# Columns of felt, the last contact of a robot: estimated approach speed, normal, velocity of the robot without
 # it, variances of the velocities of object and robot before it.
 APPROACH, HIT_X, HIT_Y, FREE_X, FREE_Y, OBJECT_ERROR, ROBOT_ERROR, FELT_SIZE = range(8)
-# Columns of Progress.hit, the last impact of an object, after those of Progress.felt. PENDING: 1 while it is observed;
+# Columns of hit, the last impact of an object, after those of WorldMemory.felt. PENDING: 1 while it is observed;
 # HIT_BY: robot; BEFORE: velocity before it; LATEST: velocity a step ago; RATIO: observed over commanded change at the
 # last impact, 0 before any; SEEN: number of observations; GAINED: change of the object's velocity along the normal,
 # GAINED_VARIANCE 0 before it is seen; LEARNED: when it was; RECOIL: change of the robot's against the normal; SPENT:
@@ -77,9 +77,9 @@ APPROACH, HIT_X, HIT_Y, FREE_X, FREE_Y, OBJECT_ERROR, ROBOT_ERROR, FELT_SIZE = r
     WATCHED,
     HIT_SIZE,
 ) = range(FELT_SIZE, FELT_SIZE + 18)
-# Columns of Progress.sensor.
+# Columns of sensor.
 SIGMA, WEIGHT, SQUARE, SAMPLES = range(SENSOR_SIZE)
-# Columns of Progress.counts.
+# Columns of counts.
 COUNTERS = (
     "replans",
     "retry",
@@ -120,10 +120,10 @@ COUNTERS = (
 ) = range(len(COUNTERS))
 SPARE = 6  # impacts that a new plan may have beyond those of the first one
 PAST_PERIOD = 0.5  # [s]
-NOBODY, UNKNOWN = -2, -1  # in Progress.touch
+NOBODY, UNKNOWN = -2, -1  # in WorldMemory.touch
 
 
-class Progress(NamedTuple):
+class WorldMemory(NamedTuple):
     """What the expert remembers of N worlds with n bodies, r robots, m objects and K planned impacts.
 
     Attributes:
@@ -171,15 +171,15 @@ class Progress(NamedTuple):
     counts: np.ndarray
 
 
-def make_progress(script: Script, count: int) -> Progress:
+def make_world_memory(plan: PlanTable, count: int) -> WorldMemory:
     """Make the memory of N worlds.
 
     Args:
-        script: what they follow.
+        plan: what they follow.
         count: N.
     """
-    n, r, planned = len(script.body), script.robots, len(script.impact) + SPARE
-    return Progress(
+    n, r, planned = len(plan.body), plan.robots, len(plan.impact) + SPARE
+    return WorldMemory(
         time=np.zeros(count),
         filter=np.zeros((count, n, FILTER_SIZE)),
         heading=np.zeros((count, n, 2)),
@@ -196,44 +196,44 @@ def make_progress(script: Script, count: int) -> Progress:
         clock=np.zeros((count, planned)),
         place=np.zeros((count, planned + n - r, 2)),
         shifted=np.zeros((count, r, 3 * STAGES + 1)),
-        past=np.zeros((count, math.ceil(script.horizon / PAST_PERIOD) + 1, n, 2)),
+        past=np.zeros((count, math.ceil(plan.horizon / PAST_PERIOD) + 1, n, 2)),
         wanted=np.full(count, math.inf),
         counts=np.zeros((count, len(COUNTERS)), np.int64),
     )
 
 
 @compiled
-def find_next_event(script: Script, progress: Progress, k: int, r: int) -> tuple[float, float, int]:
+def find_next_event(plan: PlanTable, memory: WorldMemory, k: int, r: int) -> tuple[float, float, int]:
     """Return when robot r has to be somewhere next: expected time, plan's time and number of its next impact, or END.
 
     Args:
-        script: what is followed.
-        progress: of all worlds.
+        plan: what is followed.
+        memory: of all worlds.
         k: world.
         r: robot.
     """
-    time, planned, index = script.horizon, script.horizon, END
-    for o in range(progress.strike.shape[1]):
-        at = int(progress.strike[k, o, IMPACT_INDEX])
+    time, planned, index = plan.horizon, plan.horizon, END
+    for o in range(memory.strike.shape[1]):
+        at = int(memory.strike[k, o, IMPACT_INDEX])
         while at != END:
-            if script.impact[at, ROBOT] == r and progress.clock[k, at] < time:
-                time, planned, index = progress.clock[k, at], script.impact[at, AT], at
-            at = int(script.impact[at, NEXT])
+            if plan.impact[at, ROBOT] == r and memory.clock[k, at] < time:
+                time, planned, index = memory.clock[k, at], plan.impact[at, AT], at
+            at = int(plan.impact[at, NEXT])
     return time, planned, index
 
 
 @compiled
-def find_strike(progress: Progress, k: int, r: int) -> int:
+def find_strike(memory: WorldMemory, k: int, r: int) -> int:
     """Return the object that robot r is to hit next, if its turn has come; END otherwise."""
     best, found = math.inf, END
-    for o in range(progress.strike.shape[1]):
-        coming = progress.strike[k, o, IMPACT_INDEX] != END or progress.strike[k, o, INSERTED] > 0.0
-        if coming and progress.strike[k, o, AGENT] == r and progress.strike[k, o, TIME] < best:
-            best, found = progress.strike[k, o, TIME], o
+    for o in range(memory.strike.shape[1]):
+        coming = memory.strike[k, o, IMPACT_INDEX] != END or memory.strike[k, o, INSERTED] > 0.0
+        if coming and memory.strike[k, o, AGENT] == r and memory.strike[k, o, TIME] < best:
+            best, found = memory.strike[k, o, TIME], o
     return found
 
 
 @compiled
-def is_approaching(progress: Progress, k: int, r: int) -> bool:
+def is_approaching(memory: WorldMemory, k: int, r: int) -> bool:
     """Return whether robot r is on a course to an impact."""
-    return progress.course[k, r, IMPACT] > 0.0
+    return memory.course[k, r, IMPACT] > 0.0

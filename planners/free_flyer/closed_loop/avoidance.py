@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
-from planners.free_flyer.belief.plan_table import RADIUS, Script
-from planners.free_flyer.belief.world_memory import AVOIDED, Progress
+from planners.free_flyer.belief.plan_table import RADIUS, PlanTable
+from planners.free_flyer.belief.world_memory import AVOIDED, WorldMemory
 from planners.free_flyer.tracking.course import IMPACT
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT
 
@@ -17,7 +17,7 @@ SWEEPS = 3  # over all neighbours
 
 @compiled
 def keep_off(
-    script: Script, progress: Progress, k: int, r: int, target: int, ax: float, ay: float
+    plan: PlanTable, memory: WorldMemory, k: int, r: int, target: int, ax: float, ay: float
 ) -> tuple[float, float, float]:
     r"""Return the acceleration nearest to a wish with which robot r can still brake before all bodies but its target.
 
@@ -26,8 +26,8 @@ def keep_off(
     limits leave of it is slack; a robot that hits is exempt from the object it hits.
 
     Args:
-        script: who is who.
-        progress: estimates of all worlds.
+        plan: who is who.
+        memory: estimates of all worlds.
         k: world.
         r: robot.
         target: body that the robot is on course to hit, or END.
@@ -38,21 +38,21 @@ def keep_off(
 
     Source: Ames et al., Control barrier functions: theory and applications, 2019; braking distance v^2 / (2 b).
     """
-    h, z = script.period, progress.filter[k, r]
-    most = script.pilot[r, GAIN] * script.pilot[r, INPUT_LIMIT]
+    h, z = plan.period, memory.filter[k, r]
+    most = plan.pilot[r, GAIN] * plan.pilot[r, INPUT_LIMIT]
     slack, changed = 0.0, False
     for _ in range(SWEEPS):
         slack = 0.0
-        for j in range(len(script.body)):
+        for j in range(len(plan.body)):
             if j in (r, target):
                 continue
-            y = progress.filter[k, j]
+            y = memory.filter[k, j]
             dx, dy = y[0] - z[0], y[1] - z[1]
             distance = math.hypot(dx, dy)
             nx, ny = dx / max(distance, 1e-9), dy / max(distance, 1e-9)
-            room = distance - script.body[r, RADIUS] - script.body[j, RADIUS] - CLEARANCE
+            room = distance - plan.body[r, RADIUS] - plan.body[j, RADIUS] - CLEARANCE
             brake = BRAKING * most
-            if j < script.robots and progress.course[k, j, IMPACT] == 0.0:
+            if j < plan.robots and memory.course[k, j, IMPACT] == 0.0:
                 brake *= 2.0
             lost = brake * h  # a control period passes before it brakes
             fastest = math.sqrt(lost * lost + 2.0 * brake * max(room, 0.0)) - lost
@@ -63,5 +63,5 @@ def keep_off(
                 size = math.hypot(ax, ay)
                 if size > most:
                     ax, ay = ax * most / size, ay * most / size
-    progress.counts[k, AVOIDED] += 1 if changed else 0
+    memory.counts[k, AVOIDED] += 1 if changed else 0
     return ax, ay, slack

@@ -24,7 +24,7 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.errors import PlanningError
 from planners.free_flyer.belief.estimator import extrapolate
-from planners.free_flyer.belief.plan_table import END, NEXT, Script, make_script
+from planners.free_flyer.belief.plan_table import END, NEXT, PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import (
     IMPACT_INDEX,
     INSERTED,
@@ -33,7 +33,7 @@ from planners.free_flyer.belief.world_memory import (
     PAST_PERIOD,
     PLANNED_ANEW,
     TIME,
-    Progress,
+    WorldMemory,
 )
 from planners.free_flyer.next_impact.bookkeeping import SETTLE
 from planners.free_flyer.nominal.remaining import make_remaining_scenario, plan_rest
@@ -87,29 +87,29 @@ class Background:
         self._asked.pop(k, None)
         self._held.pop(k, None)
 
-    def look(self, script: Script, progress: Progress, k: int) -> Script | None:
-        """Return a new script for world k to follow from now on, if there is one; ask for one if it is wanted.
+    def look(self, table: PlanTable, memory: WorldMemory, k: int) -> PlanTable | None:
+        """Return a new table for world k to follow from now on, if there is one; ask for one if it is wanted.
 
         Args:
-            script: what world k follows.
-            progress: of all worlds.
+            table: what world k follows.
+            memory: of all worlds.
             k: world.
         """
-        now, request = float(progress.time[k]), self._pending.get(k)
+        now, request = float(memory.time[k]), self._pending.get(k)
         if request is not None:
             if now < request.begin - 1e-6:
                 return None
             del self._pending[k]
             self._hold(k, now)
-            return self._take(progress, k, request)
+            return self._take(memory, k, request)
         if now >= self._held.get(k, math.inf):
             del self._held[k]
-            progress.wanted[k] = math.inf
-        elif 0.0 <= progress.wanted[k] <= now and _is_calm(progress, k, now):
+            memory.wanted[k] = math.inf
+        elif 0.0 <= memory.wanted[k] <= now and _is_calm(memory, k, now):
             # Nothing is wanted until the answer has had its time.
-            progress.wanted[k] = -math.inf
-            if script.horizon - now >= LEAST_LEFT:
-                self._ask(script, progress, k, now)
+            memory.wanted[k] = -math.inf
+            if table.horizon - now >= LEAST_LEFT:
+                self._ask(table, memory, k, now)
         return None
 
     @property
@@ -117,9 +117,9 @@ class Background:
         """Return whether any world has asked for a plan."""
         return bool(self._asked)
 
-    def find_busy(self, progress: Progress) -> np.ndarray:
+    def find_busy(self, memory: WorldMemory) -> np.ndarray:
         """Return the worlds that `look` may do something for."""
-        busy = (progress.wanted >= 0.0) & (progress.wanted <= progress.time)
+        busy = (memory.wanted >= 0.0) & (memory.wanted <= memory.time)
         busy[[*self._pending, *self._held]] = True
         return np.flatnonzero(busy)
 
@@ -139,13 +139,13 @@ class Background:
         if self._asked[k] < MOST_PLANS:
             self._held[k] = now + APART
 
-    def _ask(self, script: Script, progress: Progress, k: int, now: float) -> None:
+    def _ask(self, table: PlanTable, memory: WorldMemory, k: int, now: float) -> None:
         self._asked[k] = self._asked.get(k, 0) + 1
-        begin = round(round((now + DELAY) / script.period) * script.period, 9)
+        begin = round(round((now + DELAY) / table.period) * table.period, 9)
         try:
-            rest = self._make_rest(script, progress, k, now, begin)
+            rest = self._make_rest(table, memory, k, now, begin)
         except InputError:
-            progress.counts[k, NO_PLAN] += 1
+            memory.counts[k, NO_PLAN] += 1
             self._hold(k, now)
             return
         self._numbers += 1
@@ -153,7 +153,7 @@ class Background:
         data = {
             "number": self._numbers,
             "scenario": rest.model_dump(mode="json"),
-            "impacts": _count_impacts(script, progress, k),
+            "impacts": _count_impacts(table, memory, k),
         }
         stdin = self._reach_worker()
         try:
@@ -162,34 +162,33 @@ class Background:
         except OSError:  # no worker any more; its answer will be missed
             self.close()
 
-    def _make_rest(self, script: Script, progress: Progress, k: int, now: float, begin: float) -> FreeFlyerScenario:
+    def _make_rest(self, table: PlanTable, memory: WorldMemory, k: int, now: float, begin: float) -> FreeFlyerScenario:
         """Make the scenario that will be left: objects fly on, robots follow their courses."""
         positions, velocities = {}, {}
         for i, name in enumerate(self._scenario.bodies):
-            if i < script.robots:
-                motion = evaluate_course(progress.course, script.breaks, script.coefficients, k, i, begin)[:4]
+            if i < table.robots:
+                motion = evaluate_course(memory.course, table.breaks, table.coefficients, k, i, begin)[:4]
             else:
-                motion = extrapolate(progress, k, i, begin)
+                motion = extrapolate(memory, k, i, begin)
             positions[name], velocities[name] = np.array(motion[:2]), np.array(motion[2:])
         seen = int(now / PAST_PERIOD + 1e-6) + 1
         times = np.append(PAST_PERIOD * np.arange(seen), begin)
         tracks = {
-            name: np.vstack([progress.past[k, :seen, i], positions[name]])
-            for i, name in enumerate(self._scenario.bodies)
+            name: np.vstack([memory.past[k, :seen, i], positions[name]]) for i, name in enumerate(self._scenario.bodies)
         }
         return make_remaining_scenario(self._scenario, begin, positions, velocities, (times, tracks))
 
-    def _take(self, progress: Progress, k: int, request: Request) -> Script | None:
+    def _take(self, memory: WorldMemory, k: int, request: Request) -> PlanTable | None:
         answer = self._await(request.number)
         if answer is None:
-            progress.counts[k, NO_PLAN] += 1
+            memory.counts[k, NO_PLAN] += 1
             return None
-        script = make_script(request.scenario, Plan.from_json(answer), request.begin)
-        if len(script.impact) > progress.clock.shape[1]:
-            progress.counts[k, NO_PLAN] += 1
+        table = make_plan_table(request.scenario, Plan.from_json(answer), request.begin)
+        if len(table.impact) > memory.clock.shape[1]:
+            memory.counts[k, NO_PLAN] += 1
             return None
-        progress.counts[k, PLANNED_ANEW] += 1
-        return script
+        memory.counts[k, PLANNED_ANEW] += 1
+        return table
 
     def _await(self, number: int) -> str | None:
         """Return the plan that answers a request, None if there is none."""
@@ -228,19 +227,19 @@ def _forward(answers: TextIO, lines: queue.SimpleQueue[str]) -> None:
     lines.put("")
 
 
-def _is_calm(progress: Progress, k: int, now: float) -> bool:
+def _is_calm(memory: WorldMemory, k: int, now: float) -> bool:
     """Return whether no impact is near, before or after a new plan is taken over."""
-    strike = progress.strike[k]
+    strike = memory.strike[k]
     coming = strike[(strike[:, IMPACT_INDEX] != END) | (strike[:, INSERTED] > 0.0)]
     return bool((coming[:, TIME] > now + DELAY + CALM).all() and (now >= strike[:, LAST] + SETTLE).all())
 
 
-def _count_impacts(script: Script, progress: Progress, k: int) -> int:
+def _count_impacts(table: PlanTable, memory: WorldMemory, k: int) -> int:
     left = 0
-    for o in range(len(script.first)):
-        at = int(progress.strike[k, o, IMPACT_INDEX])
+    for o in range(len(table.first)):
+        at = int(memory.strike[k, o, IMPACT_INDEX])
         while at != END:
-            at, left = int(script.impact[at, NEXT]), left + 1
+            at, left = int(table.impact[at, NEXT]), left + 1
     return left
 
 

@@ -13,7 +13,7 @@ from planners.free_flyer.belief.plan_table import (
     END,
     HOME,
     MASS,
-    Script,
+    PlanTable,
 )
 from planners.free_flyer.belief.world_memory import (
     LQR,
@@ -25,7 +25,7 @@ from planners.free_flyer.belief.world_memory import (
     PLUS_Y,
     SHIFTED_PLAN,
     TIME,
-    Progress,
+    WorldMemory,
 )
 from planners.free_flyer.closed_loop.avoidance import keep_off
 from planners.free_flyer.tracking.course import IMPACT, evaluate_course
@@ -34,8 +34,8 @@ from planners.free_flyer.tracking.mpc import FEEDBACK, GAIN, INPUT_LIMIT, NO_JUM
 
 @compiled
 def track(
-    script: Script,
-    progress: Progress,
+    plan: PlanTable,
+    memory: WorldMemory,
     options: Options,
     workspace: Workspace,
     c: int,
@@ -45,22 +45,22 @@ def track(
     actions: np.ndarray,
 ) -> None:
     """Write robot r's action, and remember the acceleration it should cause."""
-    now, h, pilot, z = progress.time[k], script.period, script.pilot[r], progress.filter[k, r]
-    heading, rate = progress.heading[k, r, 0], progress.heading[k, r, 1]
+    now, h, pilot, z = memory.time[k], plan.period, plan.pilot[r], memory.filter[k, r]
+    heading, rate = memory.heading[k, r, 0], memory.heading[k, r, 1]
     solved = False
     if options.mpc:
-        fill_reference(script, progress, workspace, c, k, r, o)
+        fill_reference(plan, memory, workspace, c, k, r, o)
         state = workspace.state[c]
         state[0], state[1], state[2], state[3], state[4], state[5] = z[0], z[1], heading, z[2], z[3], rate
         solved = solve_tracking(workspace, c, pilot)
-        shifted = progress.shifted[k, r]
+        shifted = memory.shifted[k, r]
         left = int(shifted[3 * STAGES])
         if solved:
             for i in range(3 * STAGES):
                 shifted[i] = workspace.solution[c, i]
             left = STAGES
         elif left > 0:
-            progress.counts[k, SHIFTED_PLAN] += 1
+            memory.counts[k, SHIFTED_PLAN] += 1
         if left > 0:
             for i in range(3):
                 actions[k, r, i] = shifted[i]
@@ -70,9 +70,9 @@ def track(
         solved = left > 0
     if not solved:
         if options.mpc:
-            progress.counts[k, LQR] += 1
-        here = evaluate_course(progress.course, script.breaks, script.coefficients, k, r, now)
-        ahead = evaluate_course(progress.course, script.breaks, script.coefficients, k, r, now + h)
+            memory.counts[k, LQR] += 1
+        here = evaluate_course(memory.course, plan.breaks, plan.coefficients, k, r, now)
+        ahead = evaluate_course(memory.course, plan.breaks, plan.coefficients, k, r, now + h)
         # World-frame acceleration: feed-forward and feedback of the axes.
         ax = (ahead[2] - here[2]) / h
         ay = (ahead[3] - here[3]) / h
@@ -82,14 +82,14 @@ def track(
         cos, sin = math.cos(heading), math.sin(heading)
         actions[k, r, 0] = (cos * ax + sin * ay) / g
         actions[k, r, 1] = (cos * ay - sin * ax) / g
-        turn = heading - script.body[r, HOME]
+        turn = heading - plan.body[r, HOME]
         actions[k, r, 2] = -pilot[FEEDBACK + 4] * turn - pilot[FEEDBACK + 5] * rate
     if options.avoid:
         g, cos, sin = pilot[GAIN], math.cos(heading), math.sin(heading)
         ax = g * (cos * actions[k, r, 0] - sin * actions[k, r, 1])
         ay = g * (sin * actions[k, r, 0] + cos * actions[k, r, 1])
-        striking = o != END and progress.course[k, r, IMPACT] > 0.0
-        bx, by, _ = keep_off(script, progress, k, r, script.robots + o if striking else END, ax, ay)
+        striking = o != END and memory.course[k, r, IMPACT] > 0.0
+        bx, by, _ = keep_off(plan, memory, k, r, plan.robots + o if striking else END, ax, ay)
         if bx != ax or by != ay:
             actions[k, r, 0], actions[k, r, 1] = (cos * bx + sin * by) / g, (cos * by - sin * bx) / g
     for i in range(3):
@@ -98,32 +98,32 @@ def track(
     middle = heading + rate * h / 2
     cos, sin = math.cos(middle), math.sin(middle)
     fx, fy = actions[k, r, 0] * pilot[INPUT_LIMIT], actions[k, r, 1] * pilot[INPUT_LIMIT + 1]
-    progress.push[k, r, 0] = (cos * fx - sin * fy) * pilot[GAIN]
-    progress.push[k, r, 1] = (sin * fx + cos * fy) * pilot[GAIN]
+    memory.push[k, r, 0] = (cos * fx - sin * fy) * pilot[GAIN]
+    memory.push[k, r, 1] = (sin * fx + cos * fy) * pilot[GAIN]
 
 
 @compiled
-def fill_reference(script: Script, progress: Progress, workspace: Workspace, c: int, k: int, r: int, o: int) -> None:
+def fill_reference(plan: PlanTable, memory: WorldMemory, workspace: Workspace, c: int, k: int, r: int, o: int) -> None:
     """Sample robot r's course at the nodes of the horizon, with the feed-forward forces that reproduce its velocities.
 
     A border between stages is moved onto an impact within the horizon.
 
     Source: Verhagen & Tumova, Sec. VII: Eq. 7 in the prediction at t_m = t_impact.
     """
-    now, h, mass = progress.time[k], script.period, script.body[r, MASS]
+    now, h, mass = memory.time[k], plan.period, plan.body[r, MASS]
     states, inputs, durations = workspace.states[c], workspace.inputs[c], workspace.durations[c]
-    jump, heading = workspace.jump[c], progress.heading[k, r, 0]
+    jump, heading = workspace.jump[c], memory.heading[k, r, 0]
     for j in range(STAGES):
         durations[j] = h
-    node, striking = NO_JUMP, o != END and progress.course[k, r, IMPACT] > 0.0
-    ahead = progress.strike[k, o, TIME] - now if striking else math.inf
+    node, striking = NO_JUMP, o != END and memory.course[k, r, IMPACT] > 0.0
+    ahead = memory.strike[k, o, TIME] - now if striking else math.inf
     if ahead >= 0.0 and ahead < (STAGES - 0.5) * h:
-        strike = progress.strike[k, o]
+        strike = memory.strike[k, o]
         node = min(max(math.floor(ahead / h + 0.5), 1), STAGES - 1)
         durations[node - 1] = ahead - (node - 1) * h
         durations[node] = (node + 1) * h - ahead
         # The robot's own jump: v+ = v- - c (n . v- - n . v_O) n with c = alpha m_O / m_R.
-        gain = compute_pair_gain(progress, k, r, o) * get_pair(progress, k, r, o)[1]
+        gain = compute_pair_gain(memory, k, r, o) * get_pair(memory, k, r, o)[1]
         jump[0], jump[1], jump[2] = strike[N_X], strike[N_Y], gain
         jump[3] = strike[N_X] * strike[OBJECT_X] + strike[N_Y] * strike[OBJECT_Y]
     workspace.node[c] = node
@@ -131,14 +131,14 @@ def fill_reference(script: Script, progress: Progress, workspace: Workspace, c: 
     for j in range(STAGES + 1):
         bounced = node != NO_JUMP and j > node
         if bounced:
-            plus_x, plus_y = progress.strike[k, o, PLUS_X], progress.strike[k, o, PLUS_Y]
+            plus_x, plus_y = memory.strike[k, o, PLUS_X], memory.strike[k, o, PLUS_Y]
             states[j, 0] = states[j - 1, 0] + durations[j - 1] * plus_x
             states[j, 1] = states[j - 1, 1] + durations[j - 1] * plus_y
             states[j, 3], states[j, 4] = plus_x, plus_y
         else:
-            motion = evaluate_course(progress.course, script.breaks, script.coefficients, k, r, t)
+            motion = evaluate_course(memory.course, plan.breaks, plan.coefficients, k, r, t)
             states[j, 0], states[j, 1], states[j, 3], states[j, 4] = motion[0], motion[1], motion[2], motion[3]
-        states[j, 2], states[j, 5] = script.body[r, HOME], 0.0
+        states[j, 2], states[j, 5] = plan.body[r, HOME], 0.0
         if j > 0:
             scale = 0.0 if bounced else mass / max(durations[j - 1], 1e-9)
             fx, fy = scale * (states[j, 3] - states[j - 1, 3]), scale * (states[j, 4] - states[j - 1, 4])

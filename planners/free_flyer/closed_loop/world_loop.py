@@ -12,7 +12,7 @@ from planners.free_flyer.belief.estimator import open_filters, update_estimates
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import (
     END,
-    Script,
+    PlanTable,
 )
 from planners.free_flyer.belief.world_memory import (
     ASTRAY,
@@ -28,7 +28,7 @@ from planners.free_flyer.belief.world_memory import (
     REOPTIMISED,
     REPLANNED,
     TIME,
-    Progress,
+    WorldMemory,
     find_next_event,
     find_strike,
 )
@@ -61,41 +61,41 @@ REPLAN_WINDOW = 20.0  # before an impact [s]
 
 
 @compiled
-def start_world(script: Script, progress: Progress, options: Options, k: int) -> None:
+def start_world(plan: PlanTable, memory: WorldMemory, options: Options, k: int) -> None:
     """Forget the last episode of world k."""
-    progress.time[k] = 0.0
-    open_filters(script, progress, options, k)
-    forget_hits(script, progress, k)
-    start_strikes(script, progress, k, 0.0)
-    progress.wanted[k] = math.inf
-    for i in range(progress.counts.shape[1]):
-        progress.counts[k, i] = 0
-    for r in range(script.robots):
-        progress.push[k, r, 0] = progress.push[k, r, 1] = 0.0
-        progress.shifted[k, r, 3 * STAGES] = 0.0
-        for i in range(progress.course.shape[2]):
-            progress.course[k, r, i] = 0.0
-    set_clocks(script, progress, k, 0.0)
+    memory.time[k] = 0.0
+    open_filters(plan, memory, options, k)
+    forget_hits(plan, memory, k)
+    start_strikes(plan, memory, k, 0.0)
+    memory.wanted[k] = math.inf
+    for i in range(memory.counts.shape[1]):
+        memory.counts[k, i] = 0
+    for r in range(plan.robots):
+        memory.push[k, r, 0] = memory.push[k, r, 1] = 0.0
+        memory.shifted[k, r, 3 * STAGES] = 0.0
+        for i in range(memory.course.shape[2]):
+            memory.course[k, r, i] = 0.0
+    set_clocks(plan, memory, k, 0.0)
 
 
 @compiled
-def adopt_world(script: Script, progress: Progress, k: int) -> None:
-    """Let world k follow a new script from now on; what was learned of its objects stays."""
-    now = progress.time[k]
-    start_strikes(script, progress, k, now)
-    for r in range(script.robots):
-        go_back(script, progress, k, r, now, now)
+def adopt_world(plan: PlanTable, memory: WorldMemory, k: int) -> None:
+    """Let world k follow a new plan from now on; what was learned of its objects stays."""
+    now = memory.time[k]
+    start_strikes(plan, memory, k, now)
+    for r in range(plan.robots):
+        go_back(plan, memory, k, r, now, now)
 
 
 @compiled
 def observe_world(
-    script: Script, progress: Progress, options: Options, program: Program, c: int, k: int, joint: np.ndarray
+    plan: PlanTable, memory: WorldMemory, options: Options, program: Program, c: int, k: int, joint: np.ndarray
 ) -> int:
     """Update the estimates, take note of contacts and missed impacts, look ahead.
 
     Args:
-        script: what is followed.
-        progress: of all worlds.
+        plan: what is followed.
+        memory: of all worlds.
         options: which parts of the loop are on.
         program: of all threads.
         c: thread.
@@ -105,105 +105,105 @@ def observe_world(
     Returns:
         The object whose coming impact's correction is due, or END.
     """
-    now = joint[k, BODY_SIZE * len(script.body) + script.robots] * script.horizon
+    now = joint[k, BODY_SIZE * len(plan.body) + plan.robots] * plan.horizon
     if not math.isfinite(now):
-        now = progress.time[k] + script.period
-    remember_before(script, progress, k)
-    update_estimates(script, progress, k, joint, now)
-    for r in range(script.robots):
-        if progress.touch[k, r] != NOBODY:
-            take_contact(script, progress, k, r, now)
-    take_misses(script, progress, options, k, now)
-    learn_from_hits(script, progress, options, k, now)
-    look_ahead(script, progress, options, program, c, k, now)
-    remember_positions(script, progress, k, now)
-    return find_due(script, progress, k, now)
+        now = memory.time[k] + plan.period
+    remember_before(plan, memory, k)
+    update_estimates(plan, memory, k, joint, now)
+    for r in range(plan.robots):
+        if memory.touch[k, r] != NOBODY:
+            take_contact(plan, memory, k, r, now)
+    take_misses(plan, memory, options, k, now)
+    learn_from_hits(plan, memory, options, k, now)
+    look_ahead(plan, memory, options, program, c, k, now)
+    remember_positions(plan, memory, k, now)
+    return find_due(plan, memory, k, now)
 
 
 @compiled
-def remember_positions(script: Script, progress: Progress, k: int, now: float) -> None:
+def remember_positions(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> None:
     """Keep where the bodies of world k are seen, every half second."""
     at = int(now / PAST_PERIOD + ROUND_OFF)
-    if at < progress.past.shape[1] and now - at * PAST_PERIOD < script.period - ROUND_OFF:
-        for i in range(progress.past.shape[2]):
-            progress.past[k, at, i, 0], progress.past[k, at, i, 1] = progress.filter[k, i, 0], progress.filter[k, i, 1]
+    if at < memory.past.shape[1] and now - at * PAST_PERIOD < plan.period - ROUND_OFF:
+        for i in range(memory.past.shape[2]):
+            memory.past[k, at, i, 0], memory.past[k, at, i, 1] = memory.filter[k, i, 0], memory.filter[k, i, 1]
 
 
 @compiled
 def control_world(
-    script: Script, progress: Progress, options: Options, workspace: Workspace, c: int, k: int, actions: np.ndarray
+    plan: PlanTable, memory: WorldMemory, options: Options, workspace: Workspace, c: int, k: int, actions: np.ndarray
 ) -> None:
     """Replan where it is time to, and write each robot's action.
 
     Args:
-        script: what is followed.
-        progress: of all worlds.
+        plan: what is followed.
+        memory: of all worlds.
         options: which parts of the loop are on.
         workspace: of all threads.
         c: thread.
         k: world.
         actions: body-frame forces and torque over their limits, written, shape (N, r, 3).
     """
-    now = progress.time[k]
-    due = find_due(script, progress, k, now)
+    now = memory.time[k]
+    due = find_due(plan, memory, k, now)
     while due != END:
-        progress.strike[k, due, DECIDED] = 1.0
+        memory.strike[k, due, DECIDED] = 1.0
         if not options.once:
-            progress.strike[k, due, REPLANNED] = -math.inf
-        due = find_due(script, progress, k, now)
-    for r in range(script.robots):
-        o = find_strike(progress, k, r)
+            memory.strike[k, due, REPLANNED] = -math.inf
+        due = find_due(plan, memory, k, now)
+    for r in range(plan.robots):
+        o = find_strike(memory, k, r)
         if o != END:
-            strike = progress.strike[k, o]
-            event, _, _ = find_next_event(script, progress, k, r)
+            strike = memory.strike[k, o]
+            event, _, _ = find_next_event(plan, memory, k, r)
             if strike[INSERTED] == 0.0 and strike[TIME] > event + ROUND_OFF:
                 o = END
-            elif should_replan(progress, options, k, r, o, now):
-                replan(script, progress, options, k, r, o, now)
-        track(script, progress, options, workspace, c, k, r, o, actions)
+            elif should_replan(memory, options, k, r, o, now):
+                replan(plan, memory, options, k, r, o, now)
+        track(plan, memory, options, workspace, c, k, r, o, actions)
 
 
 @compiled
-def should_replan(progress: Progress, options: Options, k: int, r: int, o: int, now: float) -> bool:
+def should_replan(memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> bool:
     """Return whether the course of robot r to its impact on object o is to be planned anew."""
-    strike = progress.strike[k, o]
+    strike = memory.strike[k, o]
     time = strike[TIME]
     settled = now >= strike[LAST] + SETTLE - ROUND_OFF
-    near = time - REPLAN_WINDOW <= now + ROUND_OFF or progress.course[k, r, IMPACT] > 0.0
+    near = time - REPLAN_WINDOW <= now + ROUND_OFF or memory.course[k, r, IMPACT] > 0.0
     due = strike[REPLANNED] == -math.inf if options.once else now >= strike[REPLANNED] + REPLAN_PERIOD - ROUND_OFF
     return settled and near and due and now <= time - REPLAN_LAST + ROUND_OFF
 
 
 @compiled
 def look_ahead(
-    script: Script, progress: Progress, options: Options, program: Program, c: int, k: int, now: float
+    plan: PlanTable, memory: WorldMemory, options: Options, program: Program, c: int, k: int, now: float
 ) -> None:
     """Move or insert the coming impacts of world k, where options say so and the objects' flight is known."""
-    for o in range(len(script.first)):
-        strike = progress.strike[k, o]
+    for o in range(len(plan.first)):
+        strike = memory.strike[k, o]
         settled = now >= strike[LAST] + SETTLE - ROUND_OFF
         if not settled or strike[INSERTED] > 0.0 or now < strike[LOOKED] + REPLAN_PERIOD - ROUND_OFF:
             continue
         strike[LOOKED] = now
         if options.reoptimise and strike[LAST] > strike[OPTIMISED] and strike[IMPACT_INDEX] != END:
             strike[OPTIMISED] = now
-            if reoptimise(script, progress, program, c, k, o, now):
-                progress.counts[k, REOPTIMISED] += 1
-                set_clocks(script, progress, k, now)
+            if reoptimise(plan, memory, program, c, k, o, now):
+                memory.counts[k, REOPTIMISED] += 1
+                set_clocks(plan, memory, k, now)
             else:
-                progress.counts[k, NO_OPTIMUM] += 1
+                memory.counts[k, NO_OPTIMUM] += 1
                 # Its rows are on the safe side: a new plan is wanted if the flight does go astray, but sooner.
                 strike[ASTRAY] = min(strike[ASTRAY], now - LONG_ASTRAY + SOON)
         if options.retime and strike[LAST] > 0.0 and strike[IMPACT_INDEX] != END and now <= strike[TIME] - FROZEN:
-            retime(script, progress, k, o, now)
+            retime(plan, memory, k, o, now)
         if options.insert and strike[LAST] > 0.0:
-            insert(script, progress, options, k, o, now)
+            insert(plan, memory, options, k, o, now)
 
 
 @compiled
 def run_experts(
-    script: tuple,
-    progress: tuple,
+    plan: tuple,
+    memory: tuple,
     options: tuple,
     workspace: tuple,
     program: tuple,
@@ -218,25 +218,25 @@ def run_experts(
     """Start, observe or control the worlds from first to before end; plain tuples pass three times faster from Python.
 
     Args:
-        script, progress, options, workspace, program: the fields of Script, Progress, Options, Workspace, Program.
+        plan, memory, options, workspace, program: the fields of PlanTable, WorldMemory, Options, Workspace, Program.
         joint: everything measured once, shape (N, 7 n + r + 3).
         actions: written by CONTROL and ACT, shape (N, r, 3).
         due: object whose coming impact's correction is due, or END, written by START and OBSERVE, shape (N,).
         phase: START, OBSERVE, CONTROL; ACT: observe and control, and start where time is 0; ADOPT: go on with a new
-            script.
+            plan.
         c: thread.
         first, end: range of worlds.
     """
-    script_, progress_ = Script(*script), Progress(*progress)
+    plan_, memory_ = PlanTable(*plan), WorldMemory(*memory)
     options_, workspace_, program_ = Options(*options), Workspace(*workspace), Program(*program)
     clock = joint.shape[1] - 3
     for k in range(first, end):
         if phase == START or (phase == ACT and joint[k, clock] == 0.0):
-            start_world(script_, progress_, options_, k)
+            start_world(plan_, memory_, options_, k)
             due[k] = END
         if phase == ADOPT:
-            adopt_world(script_, progress_, k)
+            adopt_world(plan_, memory_, k)
         if phase in (OBSERVE, ACT):
-            due[k] = observe_world(script_, progress_, options_, program_, c, k, joint)
+            due[k] = observe_world(plan_, memory_, options_, program_, c, k, joint)
         if phase in (CONTROL, ACT):
-            control_world(script_, progress_, options_, workspace_, c, k, actions)
+            control_world(plan_, memory_, options_, workspace_, c, k, actions)

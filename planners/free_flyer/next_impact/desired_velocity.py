@@ -15,7 +15,7 @@ from planners.free_flyer.belief.plan_table import (
     OPEN,
     RADIUS,
     SPEED,
-    Script,
+    PlanTable,
 )
 from planners.free_flyer.belief.world_memory import (
     AGENT,
@@ -24,7 +24,7 @@ from planners.free_flyer.belief.world_memory import (
     REFERENCE_X,
     REFERENCE_Y,
     TIME,
-    Progress,
+    WorldMemory,
 )
 from planners.free_flyer.next_impact.reachability import compute_arrival
 
@@ -41,31 +41,31 @@ ROUND_OFF = 1e-6  # of times [s]
 
 
 @compiled
-def compute_margin(script: Script, knot: int, x: float, y: float) -> float:
+def compute_margin(plan: PlanTable, knot: int, x: float, y: float) -> float:
     """Return how deep a position lies in what a knot demands, negative outside [m]; inf without demands."""
     margin = math.inf
-    for i in range(int(script.knot[knot, FACES])):
-        margin = min(margin, script.face[knot, i, 2] - script.face[knot, i, 0] * x - script.face[knot, i, 1] * y)
+    for i in range(int(plan.knot[knot, FACES])):
+        margin = min(margin, plan.face[knot, i, 2] - plan.face[knot, i, 0] * x - plan.face[knot, i, 1] * y)
     return margin
 
 
 @compiled
-def find_next_knot(script: Script, progress: Progress, k: int, o: int, inserted: bool) -> tuple[int, float, bool]:
+def find_next_knot(plan: PlanTable, memory: WorldMemory, k: int, o: int, inserted: bool) -> tuple[int, float, bool]:
     """Return the knot after the coming impact of object o, when it is expected, and whether it is the end.
 
     Args:
-        script: what is followed.
-        progress: of all worlds.
+        plan: what is followed.
+        memory: of all worlds.
         k: world.
         o: object.
         inserted: the coming impact is none of the plan.
     """
-    index = int(progress.strike[k, o, IMPACT_INDEX])
+    index = int(memory.strike[k, o, IMPACT_INDEX])
     if index != END and not inserted:
-        index = int(script.impact[index, NEXT])
+        index = int(plan.impact[index, NEXT])
     if index == END:
-        return len(script.impact) + o, script.horizon, True
-    return index, progress.clock[k, index], False
+        return len(plan.impact) + o, plan.horizon, True
+    return index, memory.clock[k, index], False
 
 
 @compiled
@@ -95,28 +95,28 @@ def compute_desired_velocity(
 
 
 @compiled
-def aim(script: Script, progress: Progress, options: Options, k: int, o: int) -> tuple[float, float]:
+def aim(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int) -> tuple[float, float]:
     """Return the velocity object o should have after its coming impact [m/s]."""
-    strike, body = progress.strike[k, o], script.robots + o
-    z, time = progress.filter[k, body], strike[TIME]
-    x, y, _, _ = extrapolate(progress, k, body, time)
-    knot, due, last = find_next_knot(script, progress, k, o, strike[INSERTED] > 0.0)
-    target_x, target_y = progress.place[k, knot, 0], progress.place[k, knot, 1]
+    strike, body = memory.strike[k, o], plan.robots + o
+    z, time = memory.filter[k, body], strike[TIME]
+    x, y, _, _ = extrapolate(memory, k, body, time)
+    knot, due, last = find_next_knot(plan, memory, k, o, strike[INSERTED] > 0.0)
+    target_x, target_y = memory.place[k, knot, 0], memory.place[k, knot, 1]
     duration = max(due - time, SHORTEST_LEG if last else 2.0)
-    limit = script.body[body, SPEED]
-    if not last or not options.insert or script.knot[knot, FACES] == 0.0:
+    limit = plan.body[body, SPEED]
+    if not last or not options.insert or plan.knot[knot, FACES] == 0.0:
         return compute_desired_velocity(x, y, target_x, target_y, duration, z[4], z[5], limit)
     # How deep is enough grows to the plan's depth with the time that is left.
     extra = min(max(duration / FULL_CORRECTION - 0.5, 0.0) * 2.0, 1.0)
-    enough = (DEEP_ENOUGH + (1.0 - DEEP_ENOUGH) * extra) * script.knot[knot, DEPTH]
+    enough = (DEEP_ENOUGH + (1.0 - DEEP_ENOUGH) * extra) * plan.knot[knot, DEPTH]
     best, chosen = -math.inf, 1.0
     for i in range(SHARES + 1):
         share = i / SHARES
         end_x, end_y = x + share * (target_x - x), y + share * (target_y - y)
         wish_x, wish_y = compute_desired_velocity(x, y, end_x, end_y, duration, z[4], z[5], limit)
-        room = compute_room(script, progress, k, o, int(strike[AGENT]), time, wish_x, wish_y)
-        score = min(compute_margin(script, knot, end_x, end_y), enough, room) - SMALLEST * share
-        if compute_turn(script, progress, k, o, wish_x, wish_y) < SAME_SIDE:
+        room = compute_room(plan, memory, k, o, int(strike[AGENT]), time, wish_x, wish_y)
+        score = min(compute_margin(plan, knot, end_x, end_y), enough, room) - SMALLEST * share
+        if compute_turn(plan, memory, k, o, wish_x, wish_y) < SAME_SIDE:
             score -= OTHER_SIDE
         if score > best:
             best, chosen = score, share
@@ -125,10 +125,10 @@ def aim(script: Script, progress: Progress, options: Options, k: int, o: int) ->
 
 
 @compiled
-def compute_turn(script: Script, progress: Progress, k: int, o: int, wish_x: float, wish_y: float) -> float:
+def compute_turn(plan: PlanTable, memory: WorldMemory, k: int, o: int, wish_x: float, wish_y: float) -> float:
     """Return the cosine between reference normal and change to a velocity at object o's coming impact; 1 for none."""
-    strike = progress.strike[k, o]
-    _, _, vx, vy = extrapolate(progress, k, script.robots + o, strike[TIME])
+    strike = memory.strike[k, o]
+    _, _, vx, vy = extrapolate(memory, k, plan.robots + o, strike[TIME])
     dx, dy = wish_x - vx, wish_y - vy
     size = math.hypot(dx, dy)
     return 1.0 if size < ROUND_OFF else (dx * strike[REFERENCE_X] + dy * strike[REFERENCE_Y]) / size
@@ -136,46 +136,46 @@ def compute_turn(script: Script, progress: Progress, k: int, o: int, wish_x: flo
 
 @compiled
 def compute_room(
-    script: Script, progress: Progress, k: int, o: int, r: int, time: float, wish_x: float, wish_y: float
+    plan: PlanTable, memory: WorldMemory, k: int, o: int, r: int, time: float, wish_x: float, wish_y: float
 ) -> float:
     """Return how deep robot r lies in the areas it may not leave, when it gives object o a velocity at a time [m]."""
-    body = script.robots + o
-    x, y, vx, vy = extrapolate(progress, k, body, time)
+    body = plan.robots + o
+    x, y, vx, vy = extrapolate(memory, k, body, time)
     dx, dy = wish_x - vx, wish_y - vy
-    reach = (script.body[r, RADIUS] + script.body[body, RADIUS]) / max(math.hypot(dx, dy), ROUND_OFF)
+    reach = (plan.body[r, RADIUS] + plan.body[body, RADIUS]) / max(math.hypot(dx, dy), ROUND_OFF)
     room = math.inf
-    for i in range(script.own.shape[1]):
-        own = script.own[r, i]
+    for i in range(plan.own.shape[1]):
+        own = plan.own[r, i]
         if own[0] != 0.0 or own[1] != 0.0:
             room = min(room, own[2] - own[0] * (x - reach * dx) - own[1] * (y - reach * dy))
     return room
 
 
 @compiled
-def hasten(script: Script, progress: Progress, k: int, o: int) -> None:
+def hasten(plan: PlanTable, memory: WorldMemory, k: int, o: int) -> None:
     """Expect the next knot of object o earlier, if the drift it has to fly against would bend its way there too far.
 
     A flight of duration L against an acceleration a that it compensates leaves the straight way by a L^2 / 8.
     """
-    strike, z = progress.strike[k, o], progress.filter[k, script.robots + o]
-    knot, due, last = find_next_knot(script, progress, k, o, strike[INSERTED] > 0.0)
+    strike, z = memory.strike[k, o], memory.filter[k, plan.robots + o]
+    knot, due, last = find_next_knot(plan, memory, k, o, strike[INSERTED] > 0.0)
     drift = math.hypot(z[4], z[5])
-    bend = min(BEND, 0.5 * script.knot[knot, DEPTH])
+    bend = min(BEND, 0.5 * plan.knot[knot, DEPTH])
     if last or drift * (due - strike[TIME]) ** 2 <= 8.0 * bend:
         return
-    x, y, _, _ = extrapolate(progress, k, script.robots + o, strike[TIME])
-    way = math.hypot(progress.place[k, knot, 0] - x, progress.place[k, knot, 1] - y)
+    x, y, _, _ = extrapolate(memory, k, plan.robots + o, strike[TIME])
+    way = math.hypot(memory.place[k, knot, 0] - x, memory.place[k, knot, 1] - y)
     sooner = strike[TIME] + max(math.sqrt(8.0 * bend / drift), way / CRUISE)
-    sooner = max(sooner, script.knot[knot, OPEN], compute_arrival(script, progress, k, knot))
-    progress.clock[k, knot] = min(sooner, due)
+    sooner = max(sooner, plan.knot[knot, OPEN], compute_arrival(plan, memory, k, knot))
+    memory.clock[k, knot] = min(sooner, due)
 
 
 @compiled
-def find_share(script: Script, knot: int, x: float, y: float, target_x: float, target_y: float) -> float:
+def find_share(plan: PlanTable, knot: int, x: float, y: float, target_x: float, target_y: float) -> float:
     """Return the share of the way from a position to a target at which it is deep enough in what a knot demands."""
-    share, deep = 0.0, DEEP_ENOUGH * script.knot[knot, DEPTH]
-    for i in range(int(script.knot[knot, FACES])):
-        hx, hy, b = script.face[knot, i, 0], script.face[knot, i, 1], script.face[knot, i, 2]
+    share, deep = 0.0, DEEP_ENOUGH * plan.knot[knot, DEPTH]
+    for i in range(int(plan.knot[knot, FACES])):
+        hx, hy, b = plan.face[knot, i, 0], plan.face[knot, i, 1], plan.face[knot, i, 2]
         here, there = b - hx * x - hy * y, b - hx * target_x - hy * target_y
         if here < deep and there > here:
             share = max(share, min((deep - here) / (there - here), 1.0))

@@ -15,7 +15,7 @@ from planners.free_flyer.belief.plan_table import (
     RADIUS,
     ROBOT,
     SPEED,
-    Script,
+    PlanTable,
 )
 from planners.free_flyer.belief.world_memory import (
     AGENT,
@@ -34,7 +34,7 @@ from planners.free_flyer.belief.world_memory import (
     STRANDED,
     TIME,
     TURN,
-    Progress,
+    WorldMemory,
     find_next_event,
 )
 from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time
@@ -71,117 +71,125 @@ WALL = 0.1  # kept by the robot from the edge of areas it may not leave [m]
 
 
 @compiled
-def insert(script: Script, progress: Progress, options: Options, k: int, o: int, now: float) -> None:
+def insert(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, now: float) -> None:
     """Hit object o once more where it would miss its next knot's demands, or end without enough margin."""
-    strike, body = progress.strike[k, o], script.robots + o
+    strike, body = memory.strike[k, o], plan.robots + o
     index = int(strike[IMPACT_INDEX])
     over = index == END
-    knot = len(script.impact) + o if over else index
-    time = script.horizon if over else strike[TIME]
-    x, y, _, _ = extrapolate(progress, k, body, time)
-    spread = (DEVIATIONS if over else SAFE_DEVIATIONS) * math.sqrt(max(compute_variance(progress, k, body, time), 0.0))
-    needed = SHALLOW * script.knot[knot, DEPTH] if over else SAFE
-    astray = compute_margin(script, knot, x, y) + spread < needed
+    knot = len(plan.impact) + o if over else index
+    time = plan.horizon if over else strike[TIME]
+    x, y, _, _ = extrapolate(memory, k, body, time)
+    spread = (DEVIATIONS if over else SAFE_DEVIATIONS) * math.sqrt(max(compute_variance(memory, k, body, time), 0.0))
+    needed = SHALLOW * plan.knot[knot, DEPTH] if over else SAFE
+    astray = compute_margin(plan, knot, x, y) + spread < needed
     if not over and not astray:
-        wish_x, wish_y = aim(script, progress, options, k, o)
-        room = compute_room(script, progress, k, o, int(strike[AGENT]), time, wish_x, wish_y)
-        turned = compute_turn(script, progress, k, o, wish_x, wish_y) < SAME_SIDE
+        wish_x, wish_y = aim(plan, memory, options, k, o)
+        room = compute_room(plan, memory, k, o, int(strike[AGENT]), time, wish_x, wish_y)
+        turned = compute_turn(plan, memory, k, o, wish_x, wish_y) < SAME_SIDE
         astray = room + spread < EDGE or turned
     if not astray:
         strike[ASTRAY] = math.inf
-    if not astray or script.horizon - now < LEADS[0] + REST:
+    if not astray or plan.horizon - now < LEADS[0] + REST:
         return
     for lead in LEADS:
         if strike[EXTRA] >= MOST_INSERTED:
             break
         for haste in HASTES:
-            duration = haste * compute_leg(script, progress, k, o, knot, over, now + lead)
-            if now + lead + duration > script.horizon - (0.0 if over else RESERVE) or duration < LEAST_LEG:
+            duration = haste * compute_leg(plan, memory, k, o, knot, over, now + lead)
+            if now + lead + duration > plan.horizon - (0.0 if over else RESERVE) or duration < LEAST_LEG:
                 continue
-            if not over and not is_served(script, progress, k, index, now, now + lead + duration):
+            if not over and not is_served(plan, memory, k, index, now, now + lead + duration):
                 continue
-            agent = choose_agent(script, progress, k, o, knot, over, now, now + lead, duration)
+            agent = choose_agent(plan, memory, k, o, knot, over, now, now + lead, duration)
             if agent == END:
                 continue
             strike[INSERTED], strike[AGENT], strike[TIME], strike[DECIDED] = 1.0, agent, now + lead, 1.0
             strike[REPLANNED], strike[SCALE], strike[TURN] = -math.inf, 0.0, 0.0
             strike[MISSES], strike[SOLVED], strike[EXTRA] = 0.0, 0.0, strike[EXTRA] + 1.0
             if not over:
-                set_time(script, progress, k, o, index, now + lead + duration)
+                set_time(plan, memory, k, o, index, now + lead + duration)
                 strike[TIME] = now + lead
-            progress.counts[k, INSERTS] += 1
-            set_clocks(script, progress, k, now)
+            memory.counts[k, INSERTS] += 1
+            set_clocks(plan, memory, k, now)
             return
-    if compute_margin(script, knot, x, y) + spread >= 0.0:
+    if compute_margin(plan, knot, x, y) + spread >= 0.0:
         strike[ASTRAY] = math.inf
     elif strike[ASTRAY] == math.inf:
         strike[ASTRAY] = now
-    elif now >= strike[ASTRAY] + LONG_ASTRAY and progress.wanted[k] == math.inf:
-        progress.counts[k, STRANDED] += 1
-        progress.wanted[k] = now
+    elif now >= strike[ASTRAY] + LONG_ASTRAY and memory.wanted[k] == math.inf:
+        memory.counts[k, STRANDED] += 1
+        memory.wanted[k] = now
 
 
 @compiled
-def is_served(script: Script, progress: Progress, k: int, index: int, now: float, time: float) -> bool:
+def is_served(plan: PlanTable, memory: WorldMemory, k: int, index: int, now: float, time: float) -> bool:
     """Return whether the robot of a planned impact can be there at a time."""
-    r = int(script.impact[index, ROBOT])
-    x, y = find_contact(script, progress, k, index)
-    free = time >= compute_arrival(script, progress, k, index)
-    return free and is_reachable(script, progress, k, r, x, y, 0.0, 0.0, time - now)
+    r = int(plan.impact[index, ROBOT])
+    x, y = find_contact(plan, memory, k, index)
+    free = time >= compute_arrival(plan, memory, k, index)
+    return free and is_reachable(plan, memory, k, r, x, y, 0.0, 0.0, time - now)
 
 
 @compiled
-def compute_leg(script: Script, progress: Progress, k: int, o: int, knot: int, over: bool, time: float) -> float:
+def compute_leg(plan: PlanTable, memory: WorldMemory, k: int, o: int, knot: int, over: bool, time: float) -> float:
     """Return how long the flight from an inserted impact to the knot after it may take [s]."""
-    x, y, _, _ = extrapolate(progress, k, script.robots + o, time)
+    x, y, _, _ = extrapolate(memory, k, plan.robots + o, time)
     if over:
-        return script.horizon - time
-    way = math.hypot(progress.place[k, knot, 0] - x, progress.place[k, knot, 1] - y)
-    longest = max(script.knot[knot, CLOSE] - time, LEAST_LEG)
-    return max(progress.clock[k, knot] - time, min(way / CRUISE, longest), LEAST_LEG)
+        return plan.horizon - time
+    way = math.hypot(memory.place[k, knot, 0] - x, memory.place[k, knot, 1] - y)
+    longest = max(plan.knot[knot, CLOSE] - time, LEAST_LEG)
+    return max(memory.clock[k, knot] - time, min(way / CRUISE, longest), LEAST_LEG)
 
 
 @compiled
 def choose_agent(
-    script: Script, progress: Progress, k: int, o: int, knot: int, over: bool, now: float, time: float, duration: float
+    plan: PlanTable,
+    memory: WorldMemory,
+    k: int,
+    o: int,
+    knot: int,
+    over: bool,
+    now: float,
+    time: float,
+    duration: float,
 ) -> int:
     """Return the robot that stands best for an impact on object o at a time, or END."""
-    body = script.robots + o
-    z = progress.filter[k, body]
-    x, y, vx, vy = extrapolate(progress, k, body, time)
-    if not over and time + duration > script.knot[knot, CLOSE] + ROUND_OFF:
+    body = plan.robots + o
+    z = memory.filter[k, body]
+    x, y, vx, vy = extrapolate(memory, k, body, time)
+    if not over and time + duration > plan.knot[knot, CLOSE] + ROUND_OFF:
         return END
-    target_x, target_y = progress.place[k, knot, 0], progress.place[k, knot, 1]
+    target_x, target_y = memory.place[k, knot, 0], memory.place[k, knot, 1]
     if over:
-        share = find_share(script, knot, x, y, target_x, target_y)
+        share = find_share(plan, knot, x, y, target_x, target_y)
         target_x, target_y = x + share * (target_x - x), y + share * (target_y - y)
-    wish = compute_desired_velocity(x, y, target_x, target_y, duration, z[4], z[5], script.body[body, SPEED])
+    wish = compute_desired_velocity(x, y, target_x, target_y, duration, z[4], z[5], plan.body[body, SPEED])
     dx, dy = wish[0] - vx, wish[1] - vy
     change = math.hypot(dx, dy)
     best, found = SIDE, END
     if change < LEAST_CHANGE:
         return END
     nx, ny = dx / change, dy / change
-    for r in range(script.robots):
-        event, _, index = find_next_event(script, progress, k, r)
-        mine = progress.strike[k, o, AGENT] == r
-        if progress.course[k, r, IMPACT] > 0.0 and not mine:
+    for r in range(plan.robots):
+        event, _, index = find_next_event(plan, memory, k, r)
+        mine = memory.strike[k, o, AGENT] == r
+        if memory.course[k, r, IMPACT] > 0.0 and not mine:
             continue
-        reach = script.body[r, RADIUS] + script.body[body, RADIUS]
+        reach = plan.body[r, RADIUS] + plan.body[body, RADIUS]
         px, py = x - reach * nx, y - reach * ny
         if index != END and not mine:
             # The robot has to be at its own next impact in time.
-            cx, cy = find_contact(script, progress, k, index)
-            if event < time + max(REST, compute_time(script, r, math.hypot(cx - px, cy - py))):
+            cx, cy = find_contact(plan, memory, k, index)
+            if event < time + max(REST, compute_time(plan, r, math.hypot(cx - px, cy - py))):
                 continue
-        a = progress.filter[k, r]
+        a = memory.filter[k, r]
         distance = math.hypot(x - a[0], y - a[1])
         cosine = ((x - a[0]) * nx + (y - a[1]) * ny) / max(distance, ROUND_OFF)
-        inside = compute_room(script, progress, k, o, r, time, wish[0], wish[1]) >= WALL
-        speed = change / compute_pair_gain(progress, k, r, o)
-        reachable = is_reachable(script, progress, k, r, px, py, vx + speed * nx, vy + speed * ny, time - now)
+        inside = compute_room(plan, memory, k, o, r, time, wish[0], wish[1]) >= WALL
+        speed = change / compute_pair_gain(memory, k, r, o)
+        reachable = is_reachable(plan, memory, k, r, px, py, vx + speed * nx, vy + speed * ny, time - now)
         if inside and reachable and cosine > best:
             best, found = cosine, r
     if found != END:
-        progress.strike[k, o, REFERENCE_X], progress.strike[k, o, REFERENCE_Y] = nx, ny
+        memory.strike[k, o, REFERENCE_X], memory.strike[k, o, REFERENCE_Y] = nx, ny
     return found

@@ -33,12 +33,12 @@ from planners.free_flyer.belief.plan_table import (
     RADIUS,
     ROBOT,
     SPEED,
-    Script,
+    PlanTable,
 )
 from planners.free_flyer.belief.world_memory import (
     IMPACT_INDEX,
     TIME,
-    Progress,
+    WorldMemory,
 )
 from planners.free_flyer.next_impact.projection import FOUND, project
 from planners.free_flyer.next_impact.reachability import compute_time
@@ -97,31 +97,31 @@ def make_program(threads: int = 1) -> Program:
 
 
 @compiled
-def reoptimise(script: Script, progress: Progress, program: Program, c: int, k: int, o: int, now: float) -> bool:
+def reoptimise(plan: PlanTable, memory: WorldMemory, program: Program, c: int, k: int, o: int, now: float) -> bool:
     """Move the places and times of object o's impacts that are left; return whether there is such a point.
 
     Args:
-        script: what is followed.
-        progress: of all worlds; ``place`` and ``clock`` are written if there is a point.
+        plan: what is followed.
+        memory: of all worlds; ``place`` and ``clock`` are written if there is a point.
         program: of all threads.
         c: thread.
         k: world.
         o: object, with a planned impact to come and none inserted.
         now: [s].
     """
-    strike, body, W = progress.strike[k, o], script.robots + o, program
-    index, last = int(strike[IMPACT_INDEX]), len(script.impact) + o
+    strike, body, W = memory.strike[k, o], plan.robots + o, program
+    index, last = int(strike[IMPACT_INDEX]), len(plan.impact) + o
     stages = 0
     while index != END and stages < MOST_KNOTS:
         W.chain[c, stages] = index
-        index, stages = int(script.impact[index, NEXT]), stages + 1
+        index, stages = int(plan.impact[index, NEXT]), stages + 1
     W.chain[c, stages] = last if index == END else index
-    W.line[c, 4] = script.horizon if index == END else progress.clock[k, index]
-    _set_references(script, progress, W, c, k, o, stages)
-    rows = _add_demands(script, W, c, stages)
-    rows = _add_order(script, progress, W, c, k, o, stages, rows, now)
-    rows = _add_flights(script, W, c, body, stages, rows)
-    rows = _add_robots(script, progress, W, c, k, o, stages, rows, now)
+    W.line[c, 4] = plan.horizon if index == END else memory.clock[k, index]
+    _set_references(plan, memory, W, c, k, o, stages)
+    rows = _add_demands(plan, W, c, stages)
+    rows = _add_order(plan, memory, W, c, k, o, stages, rows, now)
+    rows = _add_flights(plan, W, c, body, stages, rows)
+    rows = _add_robots(plan, memory, W, c, k, o, stages, rows, now)
     size = 3 * stages + 1
     point = W.point[c, :size]
     for i in range(size):
@@ -130,38 +130,38 @@ def reoptimise(script: Script, progress: Progress, program: Program, c: int, k: 
         return False
     for i in range(stages):
         knot = int(W.chain[c, i])
-        progress.clock[k, knot] = W.centre[c, i] + W.scale[c, i] * point[i]
-    strike[TIME] = progress.clock[k, int(W.chain[c, 0])]
+        memory.clock[k, knot] = W.centre[c, i] + W.scale[c, i] * point[i]
+    strike[TIME] = memory.clock[k, int(W.chain[c, 0])]
     # Where the object's present flight leads is no wish: the first place stays, in case that flight is corrected.
     for i in range(1, stages + 1):
         knot, v = int(W.chain[c, i]), stages + 2 * (i - 1)
         for axis in range(2):
-            progress.place[k, knot, axis] = W.centre[c, v + axis] + W.scale[c, v + axis] * point[v + axis]
+            memory.place[k, knot, axis] = W.centre[c, v + axis] + W.scale[c, v + axis] * point[v + axis]
     return True
 
 
 @compiled
-def _set_references(script: Script, progress: Progress, W: Program, c: int, k: int, o: int, stages: int) -> None:
+def _set_references(plan: PlanTable, memory: WorldMemory, W: Program, c: int, k: int, o: int, stages: int) -> None:
     """Set what the variables are pulled to, and how strongly: times, places but the first, rho."""
     depth = math.inf
     for i in range(stages + 1):
         knot = int(W.chain[c, i])
-        depth = min(depth, script.knot[knot, DEPTH])
+        depth = min(depth, plan.knot[knot, DEPTH])
         if i < stages:
-            W.centre[c, i], W.scale[c, i] = progress.clock[k, knot], SCALE_TIME
+            W.centre[c, i], W.scale[c, i] = memory.clock[k, knot], SCALE_TIME
         if i > 0:
             for axis in range(2):
                 v = stages + 2 * (i - 1) + axis
-                W.centre[c, v], W.scale[c, v] = script.knot[knot, KNOT_X + axis], SCALE_PLACE
+                W.centre[c, v], W.scale[c, v] = plan.knot[knot, KNOT_X + axis], SCALE_PLACE
     rho = 3 * stages
     W.centre[c, rho], W.scale[c, rho] = (depth if depth < math.inf else 0.0), SCALE_RHO
     # The object's flight to its next impact, as a line about the time at which that is expected.
-    time = progress.clock[k, int(W.chain[c, 0])]
-    x, y, vx, vy = extrapolate(progress, k, script.robots + o, time)
+    time = memory.clock[k, int(W.chain[c, 0])]
+    x, y, vx, vy = extrapolate(memory, k, plan.robots + o, time)
     W.line[c, 0], W.line[c, 1], W.line[c, 2], W.line[c, 3] = x - vx * time, y - vy * time, vx, vy
     # Its first place has no variable of its own; what pulls at it pulls at its time.
     first = int(W.chain[c, 0])
-    dx, dy = script.knot[first, KNOT_X] - x, script.knot[first, KNOT_Y] - y
+    dx, dy = plan.knot[first, KNOT_X] - x, plan.knot[first, KNOT_Y] - y
     there = (vx * vx + vy * vy) / (SCALE_PLACE * SCALE_PLACE)
     weight = there + 1.0 / (SCALE_TIME * SCALE_TIME)
     W.centre[c, 0] = time + (vx * dx + vy * dy) / (SCALE_PLACE * SCALE_PLACE) / weight
@@ -205,13 +205,13 @@ def _put_place(W: Program, c: int, row: int, stages: int, i: int, x: float, y: f
 
 
 @compiled
-def _add_demands(script: Script, W: Program, c: int, stages: int) -> int:
+def _add_demands(plan: PlanTable, W: Program, c: int, stages: int) -> int:
     """Keep what the formula demands of the places, with the margin rho."""
     rows = 0
     for i in range(stages + 1):
         knot = int(W.chain[c, i])
-        for j in range(int(script.knot[knot, FACES])):
-            face = script.face[knot, j]
+        for j in range(int(plan.knot[knot, FACES])):
+            face = plan.face[knot, j]
             row = _open_row(W, c, rows, stages, face[2])
             _put_place(W, c, row, stages, i, face[0], face[1])
             _put(W, c, row, 3 * stages, 1.0)
@@ -221,23 +221,23 @@ def _add_demands(script: Script, W: Program, c: int, stages: int) -> int:
 
 @compiled
 def _add_order(
-    script: Script, progress: Progress, W: Program, c: int, k: int, o: int, stages: int, rows: int, now: float
+    plan: PlanTable, memory: WorldMemory, W: Program, c: int, k: int, o: int, stages: int, rows: int, now: float
 ) -> int:
     """Keep the windows, the order, and time at both ends."""
     for i in range(stages):
         knot = int(W.chain[c, i])
-        opens, closes = script.knot[knot, OPEN], script.knot[knot, CLOSE]
+        opens, closes = plan.knot[knot, OPEN], plan.knot[knot, CLOSE]
         inset = min(INSET, (closes - opens) / 4)
         # Never later than the impact was expected, if that is later than the reserve allows.
-        latest = max(script.horizon - max(RESERVE, RESERVE_SHARE * script.horizon), progress.clock[k, knot])
+        latest = max(plan.horizon - max(RESERVE, RESERVE_SHARE * plan.horizon), memory.clock[k, knot])
         row = _open_row(W, c, rows, stages, min(closes - inset, latest))
         _put_time(W, c, row, stages, i, 1.0)
-        earliest = max(opens + inset, min(now + NOTICE, progress.clock[k, knot])) if i == 0 else opens + inset
+        earliest = max(opens + inset, min(now + NOTICE, memory.clock[k, knot])) if i == 0 else opens + inset
         row = _open_row(W, c, row + 1, stages, -earliest)
         _put_time(W, c, row, stages, i, -1.0)
         rows = row + 1
         if i > 0:
-            planned = script.impact[knot, AT] - script.impact[int(W.chain[c, i - 1]), AT]
+            planned = plan.impact[knot, AT] - plan.impact[int(W.chain[c, i - 1]), AT]
             row = _open_row(W, c, rows, stages, -min(GAP, planned))
             _put_time(W, c, row, stages, i - 1, 1.0)
             _put_time(W, c, row, stages, i, -1.0)
@@ -246,9 +246,9 @@ def _add_order(
 
 
 @compiled
-def _add_flights(script: Script, W: Program, c: int, body: int, stages: int, rows: int) -> int:
+def _add_flights(plan: PlanTable, W: Program, c: int, body: int, stages: int, rows: int) -> int:
     """Keep the objects' speed, and the legs before and after an impact in a cone round its planned normal."""
-    fastest = SHARE * script.body[body, SPEED]
+    fastest = SHARE * plan.body[body, SPEED]
     for i in range(stages):
         here, there = int(W.chain[c, i]), int(W.chain[c, i + 1])
         for axis in range(2):
@@ -261,22 +261,22 @@ def _add_flights(script: Script, W: Program, c: int, body: int, stages: int, row
                 _put_time(W, c, row, stages, i + 1, -fastest)
                 _put_time(W, c, row, stages, i, fastest)
                 rows = row + 1
-        dx = script.knot[there, KNOT_X] - script.knot[here, KNOT_X]
-        dy = script.knot[there, KNOT_Y] - script.knot[here, KNOT_Y]
+        dx = plan.knot[there, KNOT_X] - plan.knot[here, KNOT_X]
+        dy = plan.knot[there, KNOT_Y] - plan.knot[here, KNOT_Y]
         if math.hypot(dx, dy) < SHORTEST_LEG:
             continue
-        rows = _add_cone(script, W, c, stages, rows, i, 1.0, dx, dy, here)
+        rows = _add_cone(plan, W, c, stages, rows, i, 1.0, dx, dy, here)
         if i + 1 < stages:
-            rows = _add_cone(script, W, c, stages, rows, i, -1.0, -dx, -dy, there)
+            rows = _add_cone(plan, W, c, stages, rows, i, -1.0, -dx, -dy, there)
     return rows
 
 
 @compiled
 def _add_cone(
-    script: Script, W: Program, c: int, stages: int, rows: int, i: int, sign: float, dx: float, dy: float, knot: int
+    plan: PlanTable, W: Program, c: int, stages: int, rows: int, i: int, sign: float, dx: float, dy: float, knot: int
 ) -> int:
     """Keep leg i, or the way back along it, in the cone of an impact, unless the plan does not keep to it."""
-    nx, ny = script.impact[knot, NORMAL_X], script.impact[knot, NORMAL_Y]
+    nx, ny = plan.impact[knot, NORMAL_X], plan.impact[knot, NORMAL_Y]
     if abs(-ny * dx + nx * dy) > WIDEST * (nx * dx + ny * dy):
         return rows
     for side in range(2):
@@ -291,43 +291,43 @@ def _add_cone(
 
 @compiled
 def _add_robots(
-    script: Script, progress: Progress, W: Program, c: int, k: int, o: int, stages: int, rows: int, now: float
+    plan: PlanTable, memory: WorldMemory, W: Program, c: int, k: int, o: int, stages: int, rows: int, now: float
 ) -> int:
     """Give every robot time to come to an impact from where it is or has to be, as the plan does at least."""
     for i in range(stages):
         knot, before = int(W.chain[c, i]), END
-        r = int(script.impact[knot, ROBOT])
+        r = int(plan.impact[knot, ROBOT])
         for j in range(i):
-            if script.impact[int(W.chain[c, j]), ROBOT] == r:
+            if plan.impact[int(W.chain[c, j]), ROBOT] == r:
                 before = j
-        x, y = _find_place(script, progress, k, o, knot, i == 0)
-        cx, cy = _find_contact(script, r, o, knot, x, y)
+        x, y = _find_place(plan, memory, k, o, knot, i == 0)
+        cx, cy = _find_contact(plan, r, o, knot, x, y)
         if before == END:
-            way = (cx - progress.filter[k, r, 0], cy - progress.filter[k, r, 1])
-            rows = _add_way(script, W, c, stages, rows, r, i, (x, y), way, now, 1.0, math.inf)
+            way = (cx - memory.filter[k, r, 0], cy - memory.filter[k, r, 1])
+            rows = _add_way(plan, W, c, stages, rows, r, i, (x, y), way, now, 1.0, math.inf)
         else:
             at = int(W.chain[c, before])
-            ox, oy = _find_place(script, progress, k, o, at, before == 0)
-            ox, oy = _find_contact(script, r, o, at, ox, oy)
-            planned = script.impact[knot, AT] - script.impact[at, AT]
-            rows = _add_way(script, W, c, stages, rows, r, i, (x, y), (cx - ox, cy - oy), 0.0, 1.0, planned)
+            ox, oy = _find_place(plan, memory, k, o, at, before == 0)
+            ox, oy = _find_contact(plan, r, o, at, ox, oy)
+            planned = plan.impact[knot, AT] - plan.impact[at, AT]
+            rows = _add_way(plan, W, c, stages, rows, r, i, (x, y), (cx - ox, cy - oy), 0.0, 1.0, planned)
             _put_time(W, c, rows - 1, stages, before, 1.0)
-        for other in range(len(script.first)):
-            at = int(progress.strike[k, other, IMPACT_INDEX])
+        for other in range(len(plan.first)):
+            at = int(memory.strike[k, other, IMPACT_INDEX])
             while at != END and other != o:
-                if script.impact[at, ROBOT] == r:
-                    ox, oy = _find_place(script, progress, k, other, at, False)
-                    ox, oy = _find_contact(script, r, other, at, ox, oy)
-                    time, planned = progress.clock[k, at], abs(script.impact[knot, AT] - script.impact[at, AT])
-                    sign = 1.0 if progress.clock[k, knot] >= time else -1.0
-                    rows = _add_way(script, W, c, stages, rows, r, i, (x, y), (cx - ox, cy - oy), time, sign, planned)
-                at = int(script.impact[at, NEXT])
+                if plan.impact[at, ROBOT] == r:
+                    ox, oy = _find_place(plan, memory, k, other, at, False)
+                    ox, oy = _find_contact(plan, r, other, at, ox, oy)
+                    time, planned = memory.clock[k, at], abs(plan.impact[knot, AT] - plan.impact[at, AT])
+                    sign = 1.0 if memory.clock[k, knot] >= time else -1.0
+                    rows = _add_way(plan, W, c, stages, rows, r, i, (x, y), (cx - ox, cy - oy), time, sign, planned)
+                at = int(plan.impact[at, NEXT])
     return rows
 
 
 @compiled
 def _add_way(
-    script: Script,
+    plan: PlanTable,
     W: Program,
     c: int,
     stages: int,
@@ -345,7 +345,7 @@ def _add_way(
     tau grows ever more slowly with the way, so that its tangent at the way expected now is on the safe side.
 
     Args:
-        script: what is followed.
+        plan: what is followed.
         W: program.
         c: thread.
         stages: number of impacts.
@@ -359,7 +359,7 @@ def _add_way(
         longest: that tau may be [s].
     """
     d = max(math.hypot(way[0], way[1]), SHORTEST_WAY)
-    tau = min(compute_time(script, r, d), longest)
+    tau = min(compute_time(plan, r, d), longest)
     slope = tau / (2.0 * d) if tau < longest else 0.0
     ux, uy = slope * way[0] / d, slope * way[1] / d
     row = _open_row(W, c, rows, stages, ux * here[0] + uy * here[1] - tau - sign * time)
@@ -369,16 +369,16 @@ def _add_way(
 
 
 @compiled
-def _find_place(script: Script, progress: Progress, k: int, o: int, knot: int, flying: bool) -> tuple[float, float]:
+def _find_place(plan: PlanTable, memory: WorldMemory, k: int, o: int, knot: int, flying: bool) -> tuple[float, float]:
     """Return where object o is expected at a knot: on its present flight, or where it should be."""
     if not flying:
-        return progress.place[k, knot, 0], progress.place[k, knot, 1]
-    x, y, _, _ = extrapolate(progress, k, script.robots + o, progress.clock[k, knot])
+        return memory.place[k, knot, 0], memory.place[k, knot, 1]
+    x, y, _, _ = extrapolate(memory, k, plan.robots + o, memory.clock[k, knot])
     return x, y
 
 
 @compiled
-def _find_contact(script: Script, r: int, o: int, knot: int, x: float, y: float) -> tuple[float, float]:
+def _find_contact(plan: PlanTable, r: int, o: int, knot: int, x: float, y: float) -> tuple[float, float]:
     """Return the centre of robot r when it hits object o at (x, y) as planned."""
-    reach = script.body[r, RADIUS] + script.body[script.robots + o, RADIUS]
-    return x - reach * script.impact[knot, NORMAL_X], y - reach * script.impact[knot, NORMAL_Y]
+    reach = plan.body[r, RADIUS] + plan.body[plan.robots + o, RADIUS]
+    return x - reach * plan.impact[knot, NORMAL_X], y - reach * plan.impact[knot, NORMAL_Y]

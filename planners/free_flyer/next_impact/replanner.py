@@ -13,7 +13,7 @@ from planners.free_flyer.belief.plan_table import (
     MASS,
     RADIUS,
     SPEED,
-    Script,
+    PlanTable,
 )
 from planners.free_flyer.belief.world_memory import (
     CHANGE,
@@ -40,7 +40,7 @@ from planners.free_flyer.belief.world_memory import (
     SOLVED,
     TIME,
     TURN,
-    Progress,
+    WorldMemory,
 )
 from planners.free_flyer.next_impact.bookkeeping import set_time
 from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, aim, hasten
@@ -58,32 +58,32 @@ ROTATION_RANGE = 0.3  # of the impulse, at correction 1 [rad]
 
 
 @compiled
-def solve_strike(script: Script, progress: Progress, options: Options, k: int, r: int, o: int, now: float) -> None:
+def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> None:
     """Solve the two-body problem of robot r's impact on object o, from the object as it is seen now."""
-    strike, body = progress.strike[k, o], script.robots + o
+    strike, body = memory.strike[k, o], plan.robots + o
     time = strike[TIME]
-    x, y, vx, vy = extrapolate(progress, k, body, time)
+    x, y, vx, vy = extrapolate(memory, k, body, time)
     if options.drift:
-        hasten(script, progress, k, o)
-    wish = aim(script, progress, options, k, o)
+        hasten(plan, memory, k, o)
+    wish = aim(plan, memory, options, k, o)
     scale, angle = math.exp(SCALE_RANGE * strike[SCALE]), ROTATION_RANGE * strike[TURN]
     cos, sin, dx, dy = math.cos(angle), math.sin(angle), wish[0] - vx, wish[1] - vy
     dx, dy = scale * (cos * dx - sin * dy), scale * (sin * dx + cos * dy)
-    dx, dy, distance = turn_to_centre(script, progress, k, o, time - now, dx, dy)
+    dx, dy, distance = turn_to_centre(plan, memory, k, o, time - now, dx, dy)
     desired = (vx + dx, vy + dy)
     normal = (strike[REFERENCE_X], strike[REFERENCE_Y])
-    restitution, ratio = get_pair(progress, k, r, o)
+    restitution, ratio = get_pair(memory, k, r, o)
     solution = solve_two_body_impact(
         (x, y),
         (vx, vy),
         desired,
         (vx, vy),
         normal,
-        script.body[r, MASS],
-        ratio * script.body[r, MASS],
+        plan.body[r, MASS],
+        ratio * plan.body[r, MASS],
         restitution,
-        script.body[r, RADIUS] + distance,
-        script.body[r, SPEED],
+        plan.body[r, RADIUS] + distance,
+        plan.body[r, SPEED],
     )
     strike[OUTCOME], strike[SOLVED] = solution.outcome.value, 1.0
     strike[N_X], strike[N_Y] = solution.normal
@@ -95,27 +95,27 @@ def solve_strike(script: Script, progress: Progress, options: Options, k: int, r
 
 
 @compiled
-def replan(script: Script, progress: Progress, options: Options, k: int, r: int, o: int, now: float) -> None:
+def replan(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> None:
     """Plan the course of robot r to its impact on object o; a robot that lost its course may put the impact off."""
-    strike = progress.strike[k, o]
-    solve_strike(script, progress, options, k, r, o, now)
-    begin = evaluate_course(progress.course, script.breaks, script.coefficients, k, r, now)
-    z = progress.filter[k, r]
+    strike = memory.strike[k, o]
+    solve_strike(plan, memory, options, k, r, o, now)
+    begin = evaluate_course(memory.course, plan.breaks, plan.coefficients, k, r, now)
+    z = memory.filter[k, r]
     if math.hypot(begin[0] - z[0], begin[1] - z[1]) > OFF_COURSE:
-        progress.counts[k, LOST] += 1
+        memory.counts[k, LOST] += 1
         begin = (z[0], z[1], z[2], z[3], begin[4], begin[5])
         if options.retime:
-            postpone(script, progress, options, k, r, o, now)
+            postpone(plan, memory, options, k, r, o, now)
     index = int(strike[IMPACT_INDEX])
-    planned = -1.0 if strike[INSERTED] > 0.0 else script.impact[index, AT]
+    planned = -1.0 if strike[INSERTED] > 0.0 else plan.impact[index, AT]
     vx, vy = strike[MINUS_X], strike[MINUS_Y]
     # The slower robot and object meet, the earlier or later a small error of position lets them: steadily, then.
     slow = max(math.hypot(vx - strike[OBJECT_X], vy - strike[OBJECT_Y]), ROUND_OFF)
     steady = min(max(STEADY_WAY / slow - QUICK, 0.0), STEADY, (strike[TIME] - now) / 4)
     approach(
-        progress.course,
-        script.breaks,
-        script.coefficients,
+        memory.course,
+        plan.breaks,
+        plan.coefficients,
         k,
         r,
         now,
@@ -126,28 +126,28 @@ def replan(script: Script, progress: Progress, options: Options, k: int, r: int,
         planned,
     )
     strike[REPLANNED] = now
-    progress.counts[k, REPLANS] += 1
+    memory.counts[k, REPLANS] += 1
 
 
 @compiled
-def postpone(script: Script, progress: Progress, options: Options, k: int, r: int, o: int, now: float) -> None:
+def postpone(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> None:
     """Put the impact of robot r on object o off until the robot can be there, by at most 10 s."""
-    strike = progress.strike[k, o]
+    strike = memory.strike[k, o]
     for _ in range(POSTPONEMENTS):
         x, y, vx, vy = strike[CONTACT_X], strike[CONTACT_Y], strike[MINUS_X], strike[MINUS_Y]
         later = strike[TIME] + 1.0
-        if later >= script.horizon or is_reachable(script, progress, k, r, x, y, vx, vy, strike[TIME] - now):
+        if later >= plan.horizon or is_reachable(plan, memory, k, r, x, y, vx, vy, strike[TIME] - now):
             return
         if strike[INSERTED] > 0.0:
             strike[TIME] = later
         else:
-            set_time(script, progress, k, o, int(strike[IMPACT_INDEX]), later)
-        solve_strike(script, progress, options, k, r, o, now)
+            set_time(plan, memory, k, o, int(strike[IMPACT_INDEX]), later)
+        solve_strike(plan, memory, options, k, r, o, now)
 
 
 @compiled
 def turn_to_centre(
-    script: Script, progress: Progress, k: int, o: int, ahead: float, dx: float, dy: float
+    plan: PlanTable, memory: WorldMemory, k: int, o: int, ahead: float, dx: float, dy: float
 ) -> tuple[float, float, float]:
     """Return the part of a change of velocity that a hit through object o's centre can give, and how far that hit is.
 
@@ -155,8 +155,8 @@ def turn_to_centre(
     is turned away by more than 15 degrees it is counted.
 
     Args:
-        script: what is believed.
-        progress: of all worlds.
+        plan: what is believed.
+        memory: of all worlds.
         k: world.
         o: object.
         ahead: time until the impact [s].
@@ -165,12 +165,12 @@ def turn_to_centre(
     Returns:
         Change [m/s], and the distance of the place of contact from the centre [m].
     """
-    body = script.robots + o
-    size, best, distance = math.hypot(dx, dy), -1.0, script.body[body, RADIUS]
-    heading = progress.heading[k, body, 0] + ahead * progress.heading[k, body, 1]
+    body = plan.robots + o
+    size, best, distance = math.hypot(dx, dy), -1.0, plan.body[body, RADIUS]
+    heading = memory.heading[k, body, 0] + ahead * memory.heading[k, body, 1]
     cos, sin, nx, ny = math.cos(heading), math.sin(heading), 0.0, 0.0
-    for i in range(script.side.shape[1]):
-        ux, uy, far = script.side[o, i, 0], script.side[o, i, 1], script.side[o, i, 2]
+    for i in range(plan.side.shape[1]):
+        ux, uy, far = plan.side[o, i, 0], plan.side[o, i, 1], plan.side[o, i, 2]
         px, py = -(cos * ux - sin * uy), -(sin * ux + cos * uy)
         cosine = (px * dx + py * dy) / max(size, 1e-12)
         if far > 0.0 and cosine > best:
@@ -178,6 +178,6 @@ def turn_to_centre(
     if best == -1.0:
         return dx, dy, distance
     if best < CENTRAL and size > 1e-9:
-        progress.counts[k, OFF_CENTRE] += 1
+        memory.counts[k, OFF_CENTRE] += 1
     along = max(best, 0.0) * size
     return along * nx, along * ny, distance

@@ -12,14 +12,14 @@ from planners.free_flyer.belief.plan_table import (
     END,
     NEXT,
     OPEN,
-    Script,
+    PlanTable,
 )
 from planners.free_flyer.belief.world_memory import (
     AGENT,
     IMPACT_INDEX,
     RETIMED,
     TIME,
-    Progress,
+    WorldMemory,
 )
 from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time
 from planners.free_flyer.next_impact.desired_velocity import (
@@ -40,34 +40,34 @@ RESERVE_SHARE = 0.1  # of the horizon
 
 
 @compiled
-def compute_reserve(script: Script, progress: Progress, k: int, knot: int) -> float:
+def compute_reserve(plan: PlanTable, memory: WorldMemory, k: int, knot: int) -> float:
     """Return the latest time of an impact from which all later ones can be reached [s]."""
-    latest, at = script.horizon - max(RESERVE, RESERVE_SHARE * script.horizon), int(script.impact[knot, NEXT])
-    x, y = progress.place[k, knot, 0], progress.place[k, knot, 1]
+    latest, at = plan.horizon - max(RESERVE, RESERVE_SHARE * plan.horizon), int(plan.impact[knot, NEXT])
+    x, y = memory.place[k, knot, 0], memory.place[k, knot, 1]
     while at != END:
-        latest -= math.hypot(progress.place[k, at, 0] - x, progress.place[k, at, 1] - y) / CRUISE
-        x, y = progress.place[k, at, 0], progress.place[k, at, 1]
-        at = int(script.impact[at, NEXT])
+        latest -= math.hypot(memory.place[k, at, 0] - x, memory.place[k, at, 1] - y) / CRUISE
+        x, y = memory.place[k, at, 0], memory.place[k, at, 1]
+        at = int(plan.impact[at, NEXT])
     return latest
 
 
 @compiled
-def retime(script: Script, progress: Progress, k: int, o: int, now: float) -> None:
+def retime(plan: PlanTable, memory: WorldMemory, k: int, o: int, now: float) -> None:
     """Move the coming impact of object o to when the object is nearest to where it should be hit.
 
     min_t |x_O(t) - P_k|^2 + 20 max(0, crowding - margin_k(x_O(t)))^2 + 1e-5 (t - t_k)^2
     """
-    strike = progress.strike[k, o]
+    strike = memory.strike[k, o]
     index, old = int(strike[IMPACT_INDEX]), strike[TIME]
-    latest = min(script.knot[index, CLOSE], max(compute_reserve(script, progress, k, index), old))
+    latest = min(plan.knot[index, CLOSE], max(compute_reserve(plan, memory, k, index), old))
     notice = FROZEN
     r = int(strike[AGENT])
-    place_x, place_y = find_contact(script, progress, k, index)
-    while now + notice < old and not is_reachable(script, progress, k, r, place_x, place_y, 0.0, 0.0, notice):
+    place_x, place_y = find_contact(plan, memory, k, index)
+    while now + notice < old and not is_reachable(plan, memory, k, r, place_x, place_y, 0.0, 0.0, notice):
         notice += 1.0
-    earliest = min(max(now + notice, script.knot[index, OPEN]), old)
-    best, time = compute_miss(script, progress, k, o, old, old), old
-    arrival = compute_arrival(script, progress, k, index)
+    earliest = min(max(now + notice, plan.knot[index, OPEN]), old)
+    best, time = compute_miss(plan, memory, k, o, old, old), old
+    arrival = compute_arrival(plan, memory, k, index)
     if arrival > old:
         # Its robot has to hit something else before: the impact comes when it can.
         earliest, latest, best = arrival, max(latest, arrival + FROZEN), math.inf
@@ -77,26 +77,26 @@ def retime(script: Script, progress: Progress, k: int, o: int, now: float) -> No
     step = (latest - earliest) / (CANDIDATES - 1)
     for i in range(CANDIDATES):
         t = earliest + i * step
-        miss = compute_miss(script, progress, k, o, t, old)
+        miss = compute_miss(plan, memory, k, o, t, old)
         if miss < best:
             best, time = miss, t
     middle = time
     for i in range(1, 2 * REFINED):
         t = min(max(middle + (i / REFINED - 1.0) * step, earliest), latest)
-        miss = compute_miss(script, progress, k, o, t, old)
+        miss = compute_miss(plan, memory, k, o, t, old)
         if miss < best:
             best, time = miss, t
     if abs(time - old) > ROUND_OFF:
-        progress.counts[k, RETIMED] += 1
-        set_time(script, progress, k, o, index, time)
-        set_clocks(script, progress, k, now)
+        memory.counts[k, RETIMED] += 1
+        set_time(plan, memory, k, o, index, time)
+        set_clocks(plan, memory, k, now)
 
 
 @compiled
-def compute_miss(script: Script, progress: Progress, k: int, o: int, time: float, old: float) -> float:
+def compute_miss(plan: PlanTable, memory: WorldMemory, k: int, o: int, time: float, old: float) -> float:
     """Return what `retime` minimises."""
-    knot = int(progress.strike[k, o, IMPACT_INDEX])
-    x, y, _, _ = extrapolate(progress, k, script.robots + o, time)
-    dx, dy = x - progress.place[k, knot, 0], y - progress.place[k, knot, 1]
-    outside = max(min(CROWDING, 0.4 * script.knot[knot, DEPTH]) - compute_margin(script, knot, x, y), 0.0)
+    knot = int(memory.strike[k, o, IMPACT_INDEX])
+    x, y, _, _ = extrapolate(memory, k, plan.robots + o, time)
+    dx, dy = x - memory.place[k, knot, 0], y - memory.place[k, knot, 1]
+    outside = max(min(CROWDING, 0.4 * plan.knot[knot, DEPTH]) - compute_margin(plan, knot, x, y), 0.0)
     return dx * dx + dy * dy + OUTSIDE * outside * outside + PULL * (time - old) * (time - old)

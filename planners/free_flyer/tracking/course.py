@@ -61,7 +61,7 @@ def evaluate_curve(breaks: np.ndarray, coefficients: np.ndarray, r: int, t: floa
     """Return the motion of robot r's plan; outside its span it rests at its ends.
 
     Args:
-        breaks, coefficients: of all robots, see ``script.Script``.
+        breaks, coefficients: of all robots, see `PlanTable`.
         r: robot.
         t: time [s].
         left: at a breakpoint take the segment before it.
@@ -102,7 +102,7 @@ def evaluate_course(
 
     Args:
         course: shape (N, r, 19).
-        breaks, coefficients: of all robots, see ``script.Script``.
+        breaks, coefficients: of all robots, see `PlanTable`.
         k: world.
         r: robot.
         t: time, not before the course's start [s].
@@ -201,7 +201,7 @@ def approach(
 
     Args:
         course: shape (N, r, 19).
-        breaks, coefficients: of all robots, see ``script.Script``.
+        breaks, coefficients: of all robots, see `PlanTable`.
         k: world.
         r: robot.
         now: present time [s].
@@ -245,7 +245,7 @@ def return_to_plan(
 
     Args:
         course: shape (N, r, 19).
-        breaks, coefficients: of all robots, see ``script.Script``.
+        breaks, coefficients: of all robots, see `PlanTable`.
         k: world.
         r: robot.
         now: present time [s].

@@ -412,7 +412,7 @@ def learn(expert: FreeFlyerExpert, world: FreeFlyerScenario, plan: Plan, seed: i
     expert.reset(seed)
     while env.time < plan.impacts[0].time + 5.0:
         observations, *_ = env.step(expert.act(observations))
-    return float(compute_pair_gain(expert.progress, 0, 0, 0)) / 0.9
+    return float(compute_pair_gain(expert.memory, 0, 0, 0)) / 0.9
 
 
 def test_variants_by_name(scenario: FreeFlyerScenario, plan: Plan) -> None:

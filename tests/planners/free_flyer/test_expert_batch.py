@@ -65,7 +65,7 @@ def test_single_and_batch_agree(name: str, suite: str, steps: int) -> None:
             seen[k] = env.step(alone)[0]
         joint = vector.step(actions)[0]
     for k, (_, expert) in enumerate(pairs):
-        assert [int(batch.counts[counter][k]) for counter in COUNTERS] == expert.progress.counts[0].tolist()
+        assert [int(batch.counts[counter][k]) for counter in COUNTERS] == expert.memory.counts[0].tolist()
     assert all(count > 0 for count in batch.counts["replans"])
 
 

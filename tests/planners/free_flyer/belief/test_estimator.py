@@ -22,8 +22,8 @@ from planners.free_flyer.belief.estimator import (
 )
 from planners.free_flyer.belief.impact_parameters import NOW, find_row, start_pairs
 from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options
-from planners.free_flyer.belief.plan_table import make_script
-from planners.free_flyer.belief.world_memory import APPROACH, NO_MEASUREMENT, NOBODY, SIGMA, UNKNOWN, make_progress
+from planners.free_flyer.belief.plan_table import make_plan_table
+from planners.free_flyer.belief.world_memory import APPROACH, NO_MEASUREMENT, NOBODY, SIGMA, UNKNOWN, make_world_memory
 from planners.plan import Plan
 
 PERIOD = 0.1
@@ -88,29 +88,29 @@ class Estimator:
         objects = {name: Curve([0.0, scenario.horizon], [[body.start]]) for name, body in scenario.objects.items()}
         plan = SimpleNamespace(horizon=scenario.horizon, impacts=(), robots=robots, objects=objects)
         assert set(vars(plan)) <= set(Plan.__dataclass_fields__)
-        self.script = make_script(scenario, plan)  # type: ignore[arg-type]
-        self.progress = make_progress(self.script, 3)
-        open_filters(self.script, self.progress, options, 1)
-        start_pairs(self.script, self.progress, 1)
+        self.table = make_plan_table(scenario, plan)  # type: ignore[arg-type]
+        self.memory = make_world_memory(self.table, 3)
+        open_filters(self.table, self.memory, options, 1)
+        start_pairs(self.table, self.memory, 1)
 
     def update(self, measured: np.ndarray, world: World) -> int:
         """Take in a sample; return what snap touched."""
-        self.progress.push[1] = world.push
+        self.memory.push[1] = world.push
         joint = np.full((3, measured.shape[1]), np.nan)
         joint[1] = measured
-        update_estimates(self.script, self.progress, 1, joint, world.time)
-        assert not self.progress.filter[::2].any()  # other worlds are left alone
-        assert self.progress.touch[1, CRACKLE] == NOBODY
-        return int(self.progress.touch[1, SNAP])
+        update_estimates(self.table, self.memory, 1, joint, world.time)
+        assert not self.memory.filter[::2].any()  # other worlds are left alone
+        assert self.memory.touch[1, CRACKLE] == NOBODY
+        return int(self.memory.touch[1, SNAP])
 
     def position(self, body: int) -> np.ndarray:
-        return self.progress.filter[1, body, :2].copy()
+        return self.memory.filter[1, body, :2].copy()
 
     def velocity(self, body: int) -> np.ndarray:
-        return self.progress.filter[1, body, 2:4].copy()
+        return self.memory.filter[1, body, 2:4].copy()
 
     def drift(self, body: int) -> np.ndarray:
-        return self.progress.filter[1, body, 4:6].copy()
+        return self.memory.filter[1, body, 4:6].copy()
 
     def error(self, world: World, body: int) -> tuple[float, float]:
         p, v = self.position(body) - world.position[body], self.velocity(body) - world.velocity[body]
@@ -146,9 +146,9 @@ def test_starts_at_rest_where_the_scenario_says(scenario: FreeFlyerScenario) -> 
     for body, name in enumerate(scenario.bodies):
         np.testing.assert_array_equal(estimator.position(body), scenario.body(name).start)
         assert not estimator.velocity(body).any()
-        assert (estimator.progress.filter[1, body, 11] > 0) == (body == POP)  # only objects drift
+        assert (estimator.memory.filter[1, body, 11] > 0) == (body == POP)  # only objects drift
     with_learning = Estimator(scenario, VARIANTS["with_learning"])
-    assert with_learning.progress.filter[1, POP, 11] == 0.0
+    assert with_learning.memory.filter[1, POP, 11] == 0.0
 
 
 def test_exact_measurements_are_believed_through_a_contact(scenario: FreeFlyerScenario) -> None:
@@ -175,7 +175,7 @@ def test_noise_is_learned_and_filtered(scenario: FreeFlyerScenario) -> None:
         if k >= 100:
             errors.append(estimator.error(world, POP))
         world.advance()
-    assert 3.5e-3 < estimator.progress.sensor[1, SIGMA] < 6.5e-3
+    assert 3.5e-3 < estimator.memory.sensor[1, SIGMA] < 6.5e-3
     position, velocity = np.median(errors, axis=0)
     assert position < 2.5e-3  # below the noise of one measurement
     assert velocity < 1.5e-3  # the difference of two measurements errs by 70 mm/s
@@ -188,13 +188,13 @@ def test_spread_of_the_prediction_is_honest(scenario: FreeFlyerScenario) -> None
         world, estimator = World(scenario, sigma=5e-3, drift=(4e-4, -3e-4)), Estimator(scenario)
         world.rng = np.random.default_rng(seed)
         world.velocity[POP] = 0.05, 0.02
-        estimator.progress.filter[1, POP, 9] = 1.0  # how fast it is, is not known
+        estimator.memory.filter[1, POP, 9] = 1.0  # how fast it is, is not known
         for _ in range(100):
             estimator.update(world.measure(velocity_known=False), world)
             world.advance()
         later = world.time + 10.0
-        spread = np.sqrt(compute_variance(estimator.progress, 1, POP, later))
-        position = extrapolate(estimator.progress, 1, POP, later)[:2]
+        spread = np.sqrt(compute_variance(estimator.memory, 1, POP, later))
+        position = extrapolate(estimator.memory, 1, POP, later)[:2]
         world.advance(10.0)
         ratios += list((position - world.position[POP]) / spread)
     assert 0.6 < np.std(ratios) < 1.5
@@ -208,7 +208,7 @@ def test_drift_is_found(scenario: FreeFlyerScenario) -> None:
     np.testing.assert_allclose(estimator.drift(POP), world.drift, rtol=0.02)
     assert np.all(estimator.drift(SNAP) == 0.0)
     later = world.time + 10.0
-    x, y, vx, vy = extrapolate(estimator.progress, 1, POP, later)
+    x, y, vx, vy = extrapolate(estimator.memory, 1, POP, later)
     world.advance(later - world.time)
     np.testing.assert_allclose([x, y], world.position[POP], atol=2e-3)
     np.testing.assert_allclose([vx, vy], world.velocity[POP], atol=2e-4)
@@ -228,7 +228,7 @@ def test_contact_makes_the_modelled_jump_before_velocities_are_known(
 ) -> None:
     """A learned restitution is part of the model."""
     world, estimator = World(scenario, sigma=1e-3), Estimator(scenario)
-    estimator.progress.pair[1, NOW, find_row(estimator.progress, SNAP, 0), 0] = restitution
+    estimator.memory.pair[1, NOW, find_row(estimator.memory, SNAP, 0), 0] = restitution
     world.aim(5.0)
     for _ in range(50):
         estimator.update(world.measure(velocity_known=False), world)
@@ -241,7 +241,7 @@ def test_contact_makes_the_modelled_jump_before_velocities_are_known(
     assert np.linalg.norm(before) < 0.02 * jump
     for body in (SNAP, POP):
         assert np.linalg.norm(estimator.velocity(body) - world.velocity[body]) < 0.1 * jump
-    assert estimator.progress.felt[1, SNAP, APPROACH] == pytest.approx(approach, rel=0.03)
+    assert estimator.memory.felt[1, SNAP, APPROACH] == pytest.approx(approach, rel=0.03)
 
 
 def test_missing_measurements_are_bridged_and_counted(scenario: FreeFlyerScenario) -> None:
@@ -254,7 +254,7 @@ def test_missing_measurements_are_bridged_and_counted(scenario: FreeFlyerScenari
         # ten samples tell how exact positions are; the object moves by 8 mm while it is not seen
         assert k < 12 or max(estimator.error(world, POP)) < 1e-6
         world.advance()
-    assert estimator.progress.counts[1, NO_MEASUREMENT] == 20
+    assert estimator.memory.counts[1, NO_MEASUREMENT] == 20
 
 
 def test_infinite_measurement_is_no_measurement(scenario: FreeFlyerScenario) -> None:
@@ -265,7 +265,7 @@ def test_infinite_measurement_is_no_measurement(scenario: FreeFlyerScenario) -> 
             measured[0, 7 * POP] = np.inf
         estimator.update(measured, world)
         world.advance()
-    assert np.isfinite(estimator.progress.filter[1]).all()
+    assert np.isfinite(estimator.memory.filter[1]).all()
     assert max(estimator.error(world, POP)) < 1e-4
 
 
@@ -299,10 +299,10 @@ def test_heading_is_known_up_to_whole_turns_only(scenario: FreeFlyerScenario, tu
     estimator, world = Estimator(scenario), World(scenario)
     estimator.update(world.measure(), world)
     home = scenario.robots["snap"].heading
-    assert estimator.progress.heading[1, SNAP, 0] == pytest.approx(home + 0.3)
+    assert estimator.memory.heading[1, SNAP, 0] == pytest.approx(home + 0.3)
     angle = home + 0.4 + 2 * np.pi * turns
     measured = world.measure()
     measured[0, 4:7] = np.cos(angle), np.sin(angle), 0.2
     world.time += PERIOD
     estimator.update(measured, world)
-    np.testing.assert_allclose(estimator.progress.heading[1, SNAP], [home + 0.4, 0.2])
+    np.testing.assert_allclose(estimator.memory.heading[1, SNAP], [home + 0.4, 0.2])

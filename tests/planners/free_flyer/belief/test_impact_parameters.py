@@ -31,7 +31,7 @@ from planners.free_flyer.belief.impact_parameters import (
     watch_recoil,
 )
 from planners.free_flyer.belief.options import EXPERT
-from planners.free_flyer.belief.plan_table import Script, make_script
+from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import (
     APPROACH,
     CHANGE,
@@ -49,8 +49,8 @@ from planners.free_flyer.belief.world_memory import (
     RECOIL,
     RECOIL_VARIANCE,
     ROBOT_ERROR,
-    Progress,
-    make_progress,
+    WorldMemory,
+    make_world_memory,
 )
 from planners.free_flyer.closed_loop.world_loop import adopt_world
 from planners.free_flyer.expert import FreeFlyerExpert
@@ -66,7 +66,7 @@ HEAVY = 1.25  # crackle's mass over snap's
 
 
 @pytest.fixture(scope="module")
-def script() -> Script:
+def table() -> PlanTable:
     """Return what is believed of two robots, of which one is heavier, and two objects."""
     scenario = load_scenario("throw_and_catch")
     assert isinstance(scenario, FreeFlyerScenario)
@@ -93,13 +93,13 @@ def script() -> Script:
         validated=False,
         **numbers,
     )
-    return make_script(scenario.as_believed(), plan)
+    return make_plan_table(scenario.as_believed(), plan)
 
 
 @pytest.fixture
-def progress(script: Script) -> Progress:
-    made = make_progress(script, 3)
-    start_pairs(script, made, K)
+def memory(table: PlanTable) -> WorldMemory:
+    made = make_world_memory(table, 3)
+    start_pairs(table, made, K)
     return made
 
 
@@ -110,7 +110,7 @@ def compute_changes(e: float, mu: float, s: float) -> tuple[float, float]:
 
 
 def see(
-    progress: Progress,
+    memory: WorldMemory,
     r: int,
     o: int,
     s: float,
@@ -119,178 +119,178 @@ def see(
     before: tuple[float, float] = (0.0, 0.0),
 ) -> None:
     """Let the last hit on object o be one by robot r, with variances of the velocities of object and robot."""
-    hit = progress.hit[K, o]
+    hit = memory.hit[K, o]
     hit[[PENDING, HIT_BY, APPROACH]] = 1.0, r, s
     hit[[GAINED, RECOIL]], hit[[GAINED_VARIANCE, RECOIL_VARIANCE]] = changes, after
     hit[[OBJECT_ERROR, ROBOT_ERROR]] = before
-    relearn(progress, K)
+    relearn(memory, K)
 
 
-def covariance(progress: Progress) -> np.ndarray:
-    return progress.pair[K, NOW, :, 1:-2].copy()
+def covariance(memory: WorldMemory) -> np.ndarray:
+    return memory.pair[K, NOW, :, 1:-2].copy()
 
 
-def test_starts_with_what_is_believed(script: Script, progress: Progress) -> None:
+def test_starts_with_what_is_believed(table: PlanTable, memory: WorldMemory) -> None:
     for r, ratio in ((SNAP, 1.0), (CRACKLE, 1 / HEAVY)):
         for o in (POP, PIP):
-            assert get_pair(progress, K, r, o) == pytest.approx((0.8, ratio), abs=1e-15)
-    assert compute_gain_spread(progress, K, SNAP, POP) == pytest.approx(0.13, abs=0.005)
-    assert np.linalg.eigvalsh(covariance(progress)).min() > -1e-15
-    assert not progress.pair[::2].any()  # other worlds are left alone
+            assert get_pair(memory, K, r, o) == pytest.approx((0.8, ratio), abs=1e-15)
+    assert compute_gain_spread(memory, K, SNAP, POP) == pytest.approx(0.13, abs=0.005)
+    assert np.linalg.eigvalsh(covariance(memory)).min() > -1e-15
+    assert not memory.pair[::2].any()  # other worlds are left alone
 
 
 @pytest.mark.parametrize("e", [0.0, 0.3, 0.8, 1.0])
 @pytest.mark.parametrize("mu", [0.5, 1.0, 1.8])
-def test_one_exact_hit_tells_restitution_and_masses(progress: Progress, e: float, mu: float) -> None:
-    see(progress, SNAP, POP, 0.1, compute_changes(e, mu, 0.1))
-    assert get_pair(progress, K, SNAP, POP) == pytest.approx((e, mu), abs=1e-6)
+def test_one_exact_hit_tells_restitution_and_masses(memory: WorldMemory, e: float, mu: float) -> None:
+    see(memory, SNAP, POP, 0.1, compute_changes(e, mu, 0.1))
+    assert get_pair(memory, K, SNAP, POP) == pytest.approx((e, mu), abs=1e-6)
     # The object weighs the same for the other robot; that its restitution is alike is only believed.
-    other_e, other_mu = get_pair(progress, K, CRACKLE, POP)
+    other_e, other_mu = get_pair(memory, K, CRACKLE, POP)
     assert other_mu == pytest.approx(mu / HEAVY, abs=1e-6)
     assert abs(other_e - e) <= 0.035 * abs(e - 0.8) + 1e-6
-    assert abs(get_pair(progress, K, SNAP, PIP)[0] - e) <= 0.105 * abs(e - 0.8) + 1e-6
-    assert get_pair(progress, K, SNAP, PIP)[1] == pytest.approx(1.0)  # another object's mass is its own
+    assert abs(get_pair(memory, K, SNAP, PIP)[0] - e) <= 0.105 * abs(e - 0.8) + 1e-6
+    assert get_pair(memory, K, SNAP, PIP)[1] == pytest.approx(1.0)  # another object's mass is its own
 
 
-def test_hit_of_one_robot_makes_the_next_ones_surer(progress: Progress) -> None:
-    before = [compute_gain_spread(progress, K, r, o) for r, o in ((SNAP, POP), (CRACKLE, POP), (SNAP, PIP))]
-    see(progress, SNAP, POP, 0.1, compute_changes(0.4, 1.2, 0.1), (1e-6, 2e-5), (1e-7, 4e-6))
-    after = [compute_gain_spread(progress, K, r, o) for r, o in ((SNAP, POP), (CRACKLE, POP), (SNAP, PIP))]
+def test_hit_of_one_robot_makes_the_next_ones_surer(memory: WorldMemory) -> None:
+    before = [compute_gain_spread(memory, K, r, o) for r, o in ((SNAP, POP), (CRACKLE, POP), (SNAP, PIP))]
+    see(memory, SNAP, POP, 0.1, compute_changes(0.4, 1.2, 0.1), (1e-6, 2e-5), (1e-7, 4e-6))
+    after = [compute_gain_spread(memory, K, r, o) for r, o in ((SNAP, POP), (CRACKLE, POP), (SNAP, PIP))]
     assert after[0] < after[1] < 0.5 * before[1]
     assert after[2] < 0.85 * before[2]
 
 
-def test_what_is_known_never_gets_less_by_a_hit(progress: Progress) -> None:
+def test_what_is_known_never_gets_less_by_a_hit(memory: WorldMemory) -> None:
     rng = np.random.default_rng(0)
-    variances, after, before = np.diag(covariance(progress)), (2e-6, 2e-5), (1e-6, 6e-6)
+    variances, after, before = np.diag(covariance(memory)), (2e-6, 2e-5), (1e-6, 6e-6)
     for _ in range(30):
         r, o = rng.integers(2, size=2)
         e, mu = rng.uniform(0.2, 0.95), rng.uniform(0.6, 1.4)
-        see(progress, int(r), int(o), rng.uniform(0.03, 0.2), compute_changes(e, mu, 0.1), after, before)
-        found = covariance(progress)
+        see(memory, int(r), int(o), rng.uniform(0.03, 0.2), compute_changes(e, mu, 0.1), after, before)
+        found = covariance(memory)
         np.testing.assert_allclose(found, found.T, atol=1e-15)
         assert np.linalg.eigvalsh(found).min() > -1e-12
-        progress.pair[K, KNOWN] = progress.pair[K, NOW]
-        progress.hit[K, :, PENDING] = 0.0
+        memory.pair[K, KNOWN] = memory.pair[K, NOW]
+        memory.hit[K, :, PENDING] = 0.0
         assert np.all(np.diag(found) <= variances + 1e-15)
         variances = np.diag(found)
     assert np.sqrt(variances.max()) < 0.5 * MASS_SPREAD
 
 
-def test_object_alone_tells_the_gain_only(progress: Progress) -> None:
+def test_object_alone_tells_the_gain_only(memory: WorldMemory) -> None:
     """What it leaves open goes to restitution and mass as they were in doubt before."""
     change, _ = compute_changes(0.6, 1.1, 0.1)
-    see(progress, SNAP, POP, 0.1, (change, 0.0), (EXACT, UNSEEN))
-    e, mu = get_pair(progress, K, SNAP, POP)
+    see(memory, SNAP, POP, 0.1, (change, 0.0), (EXACT, UNSEEN))
+    e, mu = get_pair(memory, K, SNAP, POP)
     assert (1 + e) / (1 + mu) == pytest.approx(1.6 / 2.1, abs=1e-6)
     assert 0.6 < e < 0.8
     assert 1.0 < mu < 1.6 * 1.2
-    i = find_row(progress, SNAP, POP)
-    ee, bb = covariance(progress)[[i, i + 1], [i, i + 1]]
+    i = find_row(memory, SNAP, POP)
+    ee, bb = covariance(memory)[[i, i + 1], [i, i + 1]]
     assert 0.3 * RESTITUTION_SPREAD < math.sqrt(ee) < RESTITUTION_SPREAD
     assert 0.3 * MASS_SPREAD < math.sqrt(bb) < MASS_SPREAD
-    assert compute_gain_spread(progress, K, SNAP, POP) == pytest.approx(WANDER / (1 + e), rel=1e-3)
+    assert compute_gain_spread(memory, K, SNAP, POP) == pytest.approx(WANDER / (1 + e), rel=1e-3)
 
 
-def test_restitution_stays_between_0_and_1_and_the_mass_explains_the_rest(progress: Progress) -> None:
+def test_restitution_stays_between_0_and_1_and_the_mass_explains_the_rest(memory: WorldMemory) -> None:
     """A gain of 1.15 needs a light object, one of 0.35 a heavy one, whatever the recoil seems to say."""
     for gain, e in ((1.15, 1.0), (0.35, 0.0)):
-        progress.hit[K, :, PENDING] = 0.0
-        see(progress, SNAP, POP, 0.1, (0.1 * gain, 0.1 * gain), (1e-12, 1e-3))
-        restitution, mu = get_pair(progress, K, SNAP, POP)
+        memory.hit[K, :, PENDING] = 0.0
+        see(memory, SNAP, POP, 0.1, (0.1 * gain, 0.1 * gain), (1e-12, 1e-3))
+        restitution, mu = get_pair(memory, K, SNAP, POP)
         assert restitution == pytest.approx(e, abs=1e-12)
         assert (1 + e) / (1 + mu) == pytest.approx(gain, abs=0.02)
 
 
-def test_wrong_velocity_before_the_hit_is_not_taken_for_certain(progress: Progress) -> None:
+def test_wrong_velocity_before_the_hit_is_not_taken_for_certain(memory: WorldMemory) -> None:
     """The robot was a tenth faster than believed, so approach and recoil were measured too small."""
     change, recoil = compute_changes(0.8, 1.3, 0.11)
-    seen, i = (change, recoil - 0.01), find_row(progress, SNAP, POP)
-    see(progress, SNAP, POP, 0.1, seen, (1e-8, 1e-8), (0.0, 1e-4))
-    error = progress.pair[K, NOW, i : i + 2, 0] - [0.8, math.log(1.3)]
-    assert np.all(np.abs(error) < 2 * np.sqrt(np.diag(covariance(progress))[i : i + 2]))
-    see(progress, SNAP, POP, 0.1, seen, (1e-8, 1e-8))
-    error = progress.pair[K, NOW, i : i + 2, 0] - [0.8, math.log(1.3)]
-    assert np.all(np.abs(error) > 20 * np.sqrt(np.diag(covariance(progress))[i : i + 2]))
+    seen, i = (change, recoil - 0.01), find_row(memory, SNAP, POP)
+    see(memory, SNAP, POP, 0.1, seen, (1e-8, 1e-8), (0.0, 1e-4))
+    error = memory.pair[K, NOW, i : i + 2, 0] - [0.8, math.log(1.3)]
+    assert np.all(np.abs(error) < 2 * np.sqrt(np.diag(covariance(memory))[i : i + 2]))
+    see(memory, SNAP, POP, 0.1, seen, (1e-8, 1e-8))
+    error = memory.pair[K, NOW, i : i + 2, 0] - [0.8, math.log(1.3)]
+    assert np.all(np.abs(error) > 20 * np.sqrt(np.diag(covariance(memory))[i : i + 2]))
 
 
 @pytest.mark.parametrize(
     ("after", "before"), [((1e-6, 2e-5), (1e-7, 4e-6)), ((4e-6, 4e-6), (4e-6, 4e-6)), ((1e-6, UNSEEN), (0.0, 1e-6))]
 )
 def test_errors_are_as_large_as_they_say(
-    script: Script, progress: Progress, after: tuple[float, float], before: tuple[float, float]
+    table: PlanTable, memory: WorldMemory, after: tuple[float, float], before: tuple[float, float]
 ) -> None:
     """Velocities are measured before and after with errors; the approach speed shares those of before."""
     rng, found = np.random.default_rng(1), []
     sigma = np.sqrt([*before, after[0], min(after[1], 1.0)])
     for _ in range(400):
-        start_pairs(script, progress, K)
+        start_pairs(table, memory, K)
         e, b, s = 0.8 + 0.1 * rng.normal(), MASS_SPREAD * rng.normal(), rng.uniform(0.06, 0.14)
-        i = find_row(progress, SNAP, POP)
+        i = find_row(memory, SNAP, POP)
         for version in (NOW, KNOWN):
-            progress.pair[K, version, :, 1:-2] *= (0.1 / RESTITUTION_SPREAD) ** 2
-            progress.pair[K, version, 1::2, 1:-2] *= (RESTITUTION_SPREAD / 0.1) ** 2
+            memory.pair[K, version, :, 1:-2] *= (0.1 / RESTITUTION_SPREAD) ** 2
+            memory.pair[K, version, 1::2, 1:-2] *= (RESTITUTION_SPREAD / 0.1) ** 2
         change, recoil = compute_changes(e, math.exp(b), s)
         object_before, robot_before, object_after, robot_after = sigma * rng.normal(size=4)
         seen = change + object_after - object_before, recoil + robot_before - robot_after
-        see(progress, SNAP, POP, s + robot_before - object_before, seen, after, before)
-        P = covariance(progress)[i : i + 2, i : i + 2]
-        error = progress.pair[K, NOW, i : i + 2, 0] - [e, b]
-        if e < 0.97 and 0.0 < progress.pair[K, NOW, i, 0] < 0.97:
+        see(memory, SNAP, POP, s + robot_before - object_before, seen, after, before)
+        P = covariance(memory)[i : i + 2, i : i + 2]
+        error = memory.pair[K, NOW, i : i + 2, 0] - [e, b]
+        if e < 0.97 and 0.0 < memory.pair[K, NOW, i, 0] < 0.97:
             found.append(error / np.sqrt(np.diag(P)))
     assert len(found) > 300
     np.testing.assert_allclose(np.std(found, axis=0), 1.0, atol=0.15)
 
 
-def test_hits_that_are_observed_at_the_same_time_do_not_forget_each_other(progress: Progress) -> None:
-    see(progress, SNAP, POP, 0.1, compute_changes(0.5, 1.2, 0.1), (1e-8, 1e-8))
-    see(progress, CRACKLE, PIP, 0.1, compute_changes(0.5, 0.9 / HEAVY, 0.1), (1e-8, 1e-8))
-    settle(progress, K, POP)  # the next contact of pop
-    relearn(progress, K)
+def test_hits_that_are_observed_at_the_same_time_do_not_forget_each_other(memory: WorldMemory) -> None:
+    see(memory, SNAP, POP, 0.1, compute_changes(0.5, 1.2, 0.1), (1e-8, 1e-8))
+    see(memory, CRACKLE, PIP, 0.1, compute_changes(0.5, 0.9 / HEAVY, 0.1), (1e-8, 1e-8))
+    settle(memory, K, POP)  # the next contact of pop
+    relearn(memory, K)
     for r, mass in ((SNAP, 1.0), (CRACKLE, HEAVY)):
-        assert get_pair(progress, K, r, POP)[1] == pytest.approx(1.2 / mass, rel=1e-3)
-        assert get_pair(progress, K, r, PIP)[1] == pytest.approx(0.9 / mass, rel=1e-3)
-    assert get_pair(progress, K, CRACKLE, PIP)[0] == pytest.approx(0.5, abs=1e-3)
-    i = find_row(progress, SNAP, POP)
-    assert math.sqrt(covariance(progress)[i, i]) == pytest.approx(WANDER, rel=0.1)  # the next hit may differ
-    settle(progress, K, POP)  # only once
-    relearn(progress, K)
-    assert math.sqrt(covariance(progress)[i, i]) == pytest.approx(WANDER, rel=0.1)
+        assert get_pair(memory, K, r, POP)[1] == pytest.approx(1.2 / mass, rel=1e-3)
+        assert get_pair(memory, K, r, PIP)[1] == pytest.approx(0.9 / mass, rel=1e-3)
+    assert get_pair(memory, K, CRACKLE, PIP)[0] == pytest.approx(0.5, abs=1e-3)
+    i = find_row(memory, SNAP, POP)
+    assert math.sqrt(covariance(memory)[i, i]) == pytest.approx(WANDER, rel=0.1)  # the next hit may differ
+    settle(memory, K, POP)  # only once
+    relearn(memory, K)
+    assert math.sqrt(covariance(memory)[i, i]) == pytest.approx(WANDER, rel=0.1)
 
 
-def test_recoil_is_seen_through_the_thrust_until_the_next_contact(progress: Progress) -> None:
-    hit, z = progress.hit[K, POP], progress.filter[K, SNAP]
-    progress.touch[K] = NOBODY
+def test_recoil_is_seen_through_the_thrust_until_the_next_contact(memory: WorldMemory) -> None:
+    hit, z = memory.hit[K, POP], memory.filter[K, SNAP]
+    memory.touch[K] = NOBODY
     hit[[PENDING, HIT_BY, HIT_AT, HIT_X, FREE_X, RECOIL_VARIANCE]] = 1.0, SNAP, 10.0, 1.0, 0.1, UNSEEN
-    progress.push[K, SNAP] = -0.02, 0.05
+    memory.push[K, SNAP] = -0.02, 0.05
     for step, variance in ((0, 1e-3), (1, 1e-4), (2, 2e-5), (3, 1e-3)):
         now = 10.0 + 0.1 * step
         # The hit took 0.07 m/s; what is seen with the large variance is wrong.
         z[2], z[9] = 0.03 - 0.002 * step + (0.01 if variance == 1e-3 else 0.0), variance
-        watch_recoil(progress, K, POP, now)
+        watch_recoil(memory, K, POP, now)
     assert hit[RECOIL] == pytest.approx(0.07)
     assert 2e-5 < hit[RECOIL_VARIANCE] < 2e-5 + 5 * THRUST_ERROR**2
     best = hit[RECOIL_VARIANCE]
     z[9] = 0.0
-    progress.touch[K, SNAP] = CRACKLE
-    watch_recoil(progress, K, POP, 10.4)
-    progress.touch[K, SNAP] = NOBODY
-    watch_recoil(progress, K, POP, 10.5)
+    memory.touch[K, SNAP] = CRACKLE
+    watch_recoil(memory, K, POP, 10.4)
+    memory.touch[K, SNAP] = NOBODY
+    watch_recoil(memory, K, POP, 10.5)
     assert hit[RECOIL_VARIANCE] == best
     hit[[HIT_AT, RECOIL_VARIANCE]] = 10.6, UNSEEN
-    watch_recoil(progress, K, POP, 10.6 + 2 * RECOIL_SECONDS)
+    watch_recoil(memory, K, POP, 10.6 + 2 * RECOIL_SECONDS)
     assert hit[RECOIL_VARIANCE] == UNSEEN  # too late
 
 
-def test_how_exact_the_thrust_is_shows_where_velocities_are_measured(progress: Progress) -> None:
+def test_how_exact_the_thrust_is_shows_where_velocities_are_measured(memory: WorldMemory) -> None:
     for _ in range(200):
-        learn_velocity_error(progress, K, SNAP, 2 * 5e-3**2, 1e-8)
-        learn_velocity_error(progress, K, CRACKLE, 2 * 5.0**2, 5.0**2)  # noise only
-    assert math.sqrt(progress.velocity_error[K, SNAP]) == pytest.approx(5e-3, rel=0.01)
-    assert math.sqrt(progress.velocity_error[K, CRACKLE]) == pytest.approx(THRUST_ERROR, rel=1e-3)
+        learn_velocity_error(memory, K, SNAP, 2 * 5e-3**2, 1e-8)
+        learn_velocity_error(memory, K, CRACKLE, 2 * 5.0**2, 5.0**2)  # noise only
+    assert math.sqrt(memory.velocity_error[K, SNAP]) == pytest.approx(5e-3, rel=0.01)
+    assert math.sqrt(memory.velocity_error[K, CRACKLE]) == pytest.approx(THRUST_ERROR, rel=1e-3)
     for _ in range(200):
-        learn_velocity_error(progress, K, SNAP, 0.0, 1e-8)
-    assert math.sqrt(progress.velocity_error[K, SNAP]) < 1e-4
+        learn_velocity_error(memory, K, SNAP, 0.0, 1e-8)
+    assert math.sqrt(memory.velocity_error[K, SNAP]) < 1e-4
 
 
 @pytest.fixture(scope="module")
@@ -324,17 +324,17 @@ def test_expert_knows_the_pair_after_its_first_hit(thrown: FreeFlyerExpert) -> N
 def test_learner_sees_the_gain_of_the_coming_pair(thrown: FreeFlyerExpert) -> None:
     expert = thrown
     factor, spread = expert.features()[23:25]
-    assert factor == pytest.approx(compute_pair_gain(expert.progress, 0, CRACKLE, POP) / 0.9)
+    assert factor == pytest.approx(compute_pair_gain(expert.memory, 0, CRACKLE, POP) / 0.9)
     assert factor == pytest.approx(1.45 / 2.25 / 0.9, rel=0.03)
-    assert spread == pytest.approx(factor * compute_gain_spread(expert.progress, 0, CRACKLE, POP))
+    assert spread == pytest.approx(factor * compute_gain_spread(expert.memory, 0, CRACKLE, POP))
     assert 0.0 < spread < 0.06
 
 
 def test_robot_is_expected_to_recoil_by_the_estimated_masses(thrown: FreeFlyerExpert) -> None:
     expert = thrown
-    now = expert.progress.time[0]
-    solve_strike(expert.script, expert.progress, EXPERT, 0, CRACKLE, POP, now)
-    strike = expert.progress.strike[0, POP]
+    now = expert.memory.time[0]
+    solve_strike(expert.table, expert.memory, EXPERT, 0, CRACKLE, POP, now)
+    strike = expert.memory.strike[0, POP]
     recoil = strike[MINUS_X : MINUS_X + 2] - strike[PLUS_X : PLUS_X + 2]
     ratio = expert.estimates()["crackle", "pop"].mass_ratio
     assert np.linalg.norm(recoil) == pytest.approx(ratio * strike[CHANGE])
@@ -343,7 +343,7 @@ def test_robot_is_expected_to_recoil_by_the_estimated_masses(thrown: FreeFlyerEx
 def test_new_plan_keeps_what_was_learned(thrown: FreeFlyerExpert) -> None:
     known = thrown.estimates()["snap", "pop"]
     assert known.restitution_spread < RESTITUTION_SPREAD
-    adopt_world(thrown.script, thrown.progress, 0)
+    adopt_world(thrown.table, thrown.memory, 0)
     assert thrown.estimates()["snap", "pop"] == known
 
 
@@ -362,9 +362,9 @@ def test_estimates_under_noise_are_as_good_as_they_say() -> None:
     joint, _ = vector.reset(seed=1_000_000)
     for _ in range(round((plan.impacts[0].time + 4.0) / scenario.control_period)):
         joint = vector.step(batch.act(joint))[0]
-    i = find_row(batch.progress, SNAP, POP)
-    found = batch.progress.pair[:, NOW, i : i + 2, 0] - [0.6, math.log(1.2)]
-    spread = np.sqrt(batch.progress.pair[:, NOW, [i, i + 1], [1 + i, 2 + i]])
+    i = find_row(batch.memory, SNAP, POP)
+    found = batch.memory.pair[:, NOW, i : i + 2, 0] - [0.6, math.log(1.2)]
+    spread = np.sqrt(batch.memory.pair[:, NOW, [i, i + 1], [1 + i, 2 + i]])
     assert np.all(np.abs(found.mean(axis=0)) < [0.6 * 0.2, 0.6 * math.log(1.2)])  # of what was believed wrongly
     assert np.all(np.median(spread, axis=0) < [0.6 * RESTITUTION_SPREAD, 0.75 * MASS_SPREAD])
     ratios = np.sqrt(np.mean((found / spread) ** 2, axis=0))

@@ -23,7 +23,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners import make_plan
 from planners.errors import Infeasible
 from planners.free_flyer.belief.options import EXPERT
-from planners.free_flyer.belief.plan_table import AT, END, make_script
+from planners.free_flyer.belief.plan_table import AT, END, make_plan_table
 from planners.free_flyer.belief.world_memory import (
     COUNTERS,
     EXTRA,
@@ -33,7 +33,7 @@ from planners.free_flyer.belief.world_memory import (
     OPTIMISED,
     PAST_PERIOD,
     TIME,
-    Progress,
+    WorldMemory,
 )
 from planners.free_flyer.closed_loop import background
 from planners.free_flyer.closed_loop.background import APART, DELAY, LEAST_LEFT, MOST_PLANS, Background, answer_requests
@@ -130,10 +130,10 @@ def make_expert(name: str, world: FreeFlyerScenario | None = None) -> FreeFlyerE
     return FreeFlyerExpert(world or load(name), plan_of(name))
 
 
-def want(progress: Progress, k: int, times: tuple[float, ...]) -> None:
+def want(memory: WorldMemory, k: int, times: tuple[float, ...]) -> None:
     """Let world k want a new plan, as `look_ahead` does, at some times."""
-    if any(abs(progress.time[k] - time) < 1e-6 for time in times):
-        progress.wanted[k] = min(progress.wanted[k], progress.time[k])
+    if any(abs(memory.time[k] - time) < 1e-6 for time in times):
+        memory.wanted[k] = min(memory.wanted[k], memory.time[k])
 
 
 class Run:
@@ -141,7 +141,7 @@ class Run:
 
     Attributes:
         actions: shape (T, 3 r).
-        taken: when the script changed [s].
+        taken: when the table changed [s].
         wanted: before every step, shape (T,).
         numbers: of requests so far, before every step, shape (T,).
     """
@@ -155,24 +155,24 @@ class Run:
         seed: int = SEED,
         steps: int | None = None,
     ) -> None:
-        env, progress = parallel_env(world), expert.progress
+        env, memory = parallel_env(world), expert.memory
         observations, infos = env.reset(seed=seed)
         expert.reset(seed)
         actions, self.taken, wanted, numbers = [], list[float](), [], []
         for k in range(world.steps if steps is None else steps):
-            want(progress, 0, times)
-            wanted.append(progress.wanted[0])
+            want(memory, 0, times)
+            wanted.append(memory.wanted[0])
             numbers.append(expert._background._numbers)
             spoil(k, observations)
-            script, now = expert.script, float(progress.time[0])
+            table, now = expert.table, float(memory.time[0])
             chosen = expert.act(observations)
-            if expert.script is not script:
+            if expert.table is not table:
                 self.taken.append(now)
             actions.append(np.concatenate([chosen[name] for name in world.agents]))
             observations, _, _, _, infos = env.step(chosen)
         self.actions, self.wanted, self.numbers = np.array(actions), np.array(wanted), np.array(numbers)
         self.success = bool(infos["snap"].get("success"))
-        self.counts = dict(zip(COUNTERS, progress.counts[0].tolist(), strict=True))
+        self.counts = dict(zip(COUNTERS, memory.counts[0].tolist(), strict=True))
 
 
 @pytest.mark.parametrize("name", ["throw_and_catch", "pong"])
@@ -189,10 +189,10 @@ def test_asked_once_and_taken_over_two_seconds_later(name: str) -> None:
     waiting = (times > WANTED + 1e-6) & (times < WANTED + DELAY + APART + 1e-6)
     assert (run.wanted[waiting] == -np.inf).all()
     assert (run.wanted[times > WANTED + DELAY + APART + 0.11] == np.inf).all()
-    # The new script is one of the whole episode, in its time.
-    assert expert.script.horizon == pytest.approx(world.horizon)
-    assert (expert.script.impact[:, AT] > WANTED + DELAY).all()
-    assert expert.script.breaks[:, 0] == pytest.approx(WANTED + DELAY)
+    # The new table is one of the whole episode, in its time.
+    assert expert.table.horizon == pytest.approx(world.horizon)
+    assert (expert.table.impact[:, AT] > WANTED + DELAY).all()
+    assert expert.table.breaks[:, 0] == pytest.approx(WANTED + DELAY)
 
 
 @pytest.mark.usefixtures("inline")
@@ -227,7 +227,7 @@ def test_asked_twice_at_most_with_time_between(answered: bool, monkeypatch: pyte
 
     class Counted(Inline):
         def write(self, line: str) -> None:
-            asked.append(float(expert.progress.time[0]))
+            asked.append(float(expert.memory.time[0]))
             super().write(line if answered else line.replace('"horizon"', '"horizont"'))
 
     if not answered:
@@ -303,7 +303,7 @@ def test_single_and_batch_agree(name: str, threads: int) -> None:
     runs = [Run(make_expert(name, world), world, times[k], seed=SEED + k) for k in range(count)]
     for step in range(world.steps):
         for k in range(count):
-            want(batch.progress, k, times[k])
+            want(batch.memory, k, times[k])
         actions = batch.act(joint)
         for k, run in enumerate(runs):
             np.testing.assert_allclose(actions[k], run.actions[step], rtol=0, atol=1e-9)
@@ -317,7 +317,7 @@ def test_single_and_batch_agree(name: str, threads: int) -> None:
 def kill_at(expert: FreeFlyerExpert, time: float) -> Spoil:
     def kill(k: int, observations: dict[str, np.ndarray]) -> None:
         worker = expert._background._worker
-        if abs(expert.progress.time[0] - time) < 1e-6 and worker is not None:
+        if abs(expert.memory.time[0] - time) < 1e-6 and worker is not None:
             worker.kill()
             worker.wait()
 
@@ -383,9 +383,9 @@ def test_process_that_dies_within_its_answer_is_no_plan(
     assert run.success
 
 
-def repeat(progress: Progress, count: int) -> Progress:
+def repeat(memory: WorldMemory, count: int) -> WorldMemory:
     """Return the memory of many worlds that are all like the only one."""
-    return Progress(*(np.repeat(table, count, axis=0) for table in progress))
+    return WorldMemory(*(np.repeat(table, count, axis=0) for table in memory))
 
 
 @pytest.mark.parametrize("count", [10, 200])
@@ -400,14 +400,14 @@ def test_many_worlds_may_ask_before_the_first_answer_is_read(
         "    print(json.dumps({'number': json.loads(line)['number'], 'plan': None, 'more': 6000 * ' '}), flush=True)",
     )
     Run(expert, load("throw_and_catch"), (), steps=round(WANTED / 0.1) + 1)
-    progress, asking = repeat(expert.progress, count), Background(load("throw_and_catch"))
-    progress.wanted[:] = progress.time
+    memory, asking = repeat(expert.memory, count), Background(load("throw_and_catch"))
+    memory.wanted[:] = memory.time
     over = threading.Event()
 
     def ask() -> None:
         for k in range(count):
             if not over.is_set():
-                asking.look(expert.script, progress, k)
+                asking.look(expert.table, memory, k)
 
     thread = threading.Thread(target=ask, daemon=True)
     thread.start()
@@ -418,10 +418,10 @@ def test_many_worlds_may_ask_before_the_first_answer_is_read(
         asking._worker.kill()
         thread.join(10.0)
     assert not stuck
-    progress.time[:] += DELAY
+    memory.time[:] += DELAY
     for k in range(count):
-        assert asking.look(expert.script, progress, k) is None
-    assert (progress.counts[:, COUNTERS.index("no_plan")] == 1).all()
+        assert asking.look(expert.table, memory, k) is None
+    assert (memory.counts[:, COUNTERS.index("no_plan")] == 1).all()
     asking.close()
 
 
@@ -446,9 +446,9 @@ def test_batch_forgets_what_was_wanted_before_a_new_episode(asked: bool) -> None
     vector = vector_env(world, num_envs=1, threads=1)
     joint, _ = vector.reset(seed=SEED)
     for _ in range(round(WANTED / 0.1) + 1 + 5 * asked):
-        want(batch.progress, 0, (WANTED,) if asked else ())
+        want(batch.memory, 0, (WANTED,) if asked else ())
         joint = vector.step(batch.act(joint))[0]
-    batch.progress.wanted[0] = -np.inf if asked else WANTED
+    batch.memory.wanted[0] = -np.inf if asked else WANTED
     joint, _ = vector.reset(seed=SEED + 1)
     for _ in range(world.steps):
         actions = batch.act(joint)
@@ -533,7 +533,7 @@ class Forced:
         self._expert.reset(seed)
 
     def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        want(self._expert.progress, 0, self._times)
+        want(self._expert.memory, 0, self._times)
         return self._expert.act(observations)
 
     def diagnostics(self) -> object:
@@ -545,7 +545,7 @@ class Forced:
 def test_episode_says_how_often_what_is_left_was_optimised(times: tuple[float, ...], anew: int) -> None:
     expert = make_expert("pong")
     episode = rollout(parallel_env(load("pong")), Forced(expert, *times), SEED)  # type: ignore[arg-type]
-    counts = dict(zip(COUNTERS, expert.progress.counts[0].tolist(), strict=True))
+    counts = dict(zip(COUNTERS, expert.memory.counts[0].tolist(), strict=True))
     assert episode.reoptimised == {"same_sequence": counts["reoptimised"], "free_sequence": anew}
     assert episode.reoptimised["same_sequence"] >= 3
     assert episode.fallbacks == {}
@@ -596,32 +596,32 @@ def test_adopting_keeps_what_was_learned_and_starting_forgets_it(expert: FreeFly
     world = load("throw_and_catch").override({"true.restitution": 0.5})
     assert isinstance(world, FreeFlyerScenario)
     Run(expert, world, (), steps=150)
-    progress, now, strike = expert.progress, float(expert.progress.time[0]), expert.progress.strike[0, 0]
+    memory, now, strike = expert.memory, float(expert.memory.time[0]), expert.memory.strike[0, 0]
     strike[[EXTRA, INSERTED]] = 3.0, 1.0
     kept = ("filter", "heading", "sensor", "felt", "hit", "pair", "velocity_error", "past", "time", "touch", "push")
-    before = {name: getattr(progress, name).copy() for name in progress._fields}
+    before = {name: getattr(memory, name).copy() for name in memory._fields}
     counts = dict(zip(COUNTERS, before["counts"][0], strict=True))
-    adopt_world(expert.script, progress, 0)
+    adopt_world(expert.table, memory, 0)
     for name in kept:
-        np.testing.assert_array_equal(getattr(progress, name), before[name], err_msg=name)
-    assert strike[IMPACT_INDEX] == expert.script.first[0]
+        np.testing.assert_array_equal(getattr(memory, name), before[name], err_msg=name)
+    assert strike[IMPACT_INDEX] == expert.table.first[0]
     assert strike[[EXTRA, INSERTED]].tolist() == [0.0, 0.0]
     assert strike[[LAST, OPTIMISED]].tolist() == [now - SETTLE] * 2  # its flight is known already
     assert strike[TIME] > now
-    after = dict(zip(COUNTERS, progress.counts[0], strict=True))
+    after = dict(zip(COUNTERS, memory.counts[0], strict=True))
     assert after == counts | {"replans": counts["replans"] + 2}  # each robot's way into the new plan
-    fresh = make_expert("throw_and_catch").progress
-    assert not np.array_equal(progress.pair[..., :-2], fresh.pair[..., :-2])
-    progress.wanted[0] = 3.0
-    start_world(expert.script, progress, EXPERT, 0)
-    np.testing.assert_array_equal(progress.pair[..., :-2], fresh.pair[..., :-2])  # the rest is for computing
+    fresh = make_expert("throw_and_catch").memory
+    assert not np.array_equal(memory.pair[..., :-2], fresh.pair[..., :-2])
+    memory.wanted[0] = 3.0
+    start_world(expert.table, memory, EXPERT, 0)
+    np.testing.assert_array_equal(memory.pair[..., :-2], fresh.pair[..., :-2])  # the rest is for computing
     for name in ("time", "strike", "hit", "clock", "place", "wanted", "counts", "push"):
-        np.testing.assert_array_equal(getattr(progress, name), getattr(fresh, name), err_msg=name)
+        np.testing.assert_array_equal(getattr(memory, name), getattr(fresh, name), err_msg=name)
 
 
 def test_script_that_begins_later_is_the_same_one_later() -> None:
     world, plan = load("pong"), plan_of("pong")
-    early, late = make_script(world, plan), make_script(world, plan, 7.5)
+    early, late = make_plan_table(world, plan), make_plan_table(world, plan, 7.5)
     np.testing.assert_allclose(late.impact[:, AT], early.impact[:, AT] + 7.5)
     np.testing.assert_allclose(late.breaks, early.breaks + 7.5)
     np.testing.assert_allclose(late.knot[:, 2:4], early.knot[:, 2:4] + 7.5)

@@ -9,8 +9,8 @@ from impact_envs import load_scenario
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
 from planners.free_flyer.belief.options import VARIANTS
-from planners.free_flyer.belief.plan_table import make_script
-from planners.free_flyer.belief.world_memory import NOBODY, TIME, make_progress
+from planners.free_flyer.belief.plan_table import make_plan_table
+from planners.free_flyer.belief.world_memory import NOBODY, TIME, make_world_memory
 from planners.free_flyer.closed_loop.world_loop import look_ahead, start_world
 from planners.free_flyer.next_impact.bookkeeping import SETTLE, take_contact
 from planners.free_flyer.next_impact.insertion import is_served
@@ -35,10 +35,10 @@ class Loop:
         objects = {"pop": item | {"start": [1.0, 0.0]}, "pip": item | {"start": [3.0, WAY]}}
         world = {"world.lower": [-200, -200], "world.upper": [200, 200], "horizon": HORIZON}
         world["formula"] = "F[0,100] pop.x >= -9"
-        self.script = make_script(scenario.override(world | {"objects": objects}), self.make_plan(scenario))
-        self.progress = make_progress(self.script, 3)
-        start_world(self.script, self.progress, VARIANTS["with_retiming"], K)
-        self.strike, self.clock = self.progress.strike[K], self.progress.clock[K]
+        self.table = make_plan_table(scenario.override(world | {"objects": objects}), self.make_plan(scenario))
+        self.memory = make_world_memory(self.table, 3)
+        start_world(self.table, self.memory, VARIANTS["with_retiming"], K)
+        self.strike, self.clock = self.memory.strike[K], self.memory.clock[K]
 
     @staticmethod
     def make_plan(scenario: FreeFlyerScenario) -> Plan:
@@ -68,11 +68,11 @@ class Loop:
 
     def see(self, body: int, position: tuple[float, float], velocity: tuple[float, float] = (0.0, 0.0)) -> None:
         """Let a body's estimate be exact."""
-        self.progress.filter[K, body] = 0.0
-        self.progress.filter[K, body, :4] = *position, *velocity
+        self.memory.filter[K, body] = 0.0
+        self.memory.filter[K, body, :4] = *position, *velocity
 
     def arrival(self, index: int) -> float:
-        return float(compute_arrival(self.script, self.progress, K, index))
+        return float(compute_arrival(self.table, self.memory, K, index))
 
 
 @pytest.fixture
@@ -81,16 +81,16 @@ def loop() -> Loop:
 
 
 def test_impact_is_put_off_until_its_robot_can_be_there(loop: Loop) -> None:
-    loop.progress.touch[K] = NOBODY
-    loop.progress.touch[K, SNAP] = POP
-    take_contact(loop.script, loop.progress, K, SNAP, 10.0)
+    loop.memory.touch[K] = NOBODY
+    loop.memory.touch[K, SNAP] = POP
+    take_contact(loop.table, loop.memory, K, SNAP, 10.0)
     now, arrival = 10.0 + SETTLE, loop.arrival(CATCH)
-    assert arrival == 20.0 + compute_time(loop.script, CRACKLE, WAY) > 24.0
+    assert arrival == 20.0 + compute_time(loop.table, CRACKLE, WAY) > 24.0
     loop.see(POP, (1.0 + SETTLE * 2 / 12, 0.0), (2 / 12, 0.0))  # on time
     loop.see(PIP, (3.0, WAY))
     loop.see(CRACKLE, (2.6, WAY))
-    loop.progress.time[K] = now
-    look_ahead(loop.script, loop.progress, VARIANTS["with_retiming"], make_program(), 0, K, now)
+    loop.memory.time[K] = now
+    look_ahead(loop.table, loop.memory, VARIANTS["with_retiming"], make_program(), 0, K, now)
     assert loop.strike[0, TIME] == loop.clock[CATCH] == pytest.approx(arrival, abs=0.1)
     assert loop.clock[CATCH] >= arrival
     assert loop.clock[OTHER] == 20.0
@@ -100,6 +100,6 @@ def test_planned_impact_is_served_when_its_robot_is_free_and_near(loop: Loop) ->
     loop.see(CRACKLE, (2.6, WAY))
     arrival = loop.arrival(CATCH)
     for time, served in ((arrival - 0.1, False), (arrival + 0.1, True)):
-        assert is_served(loop.script, loop.progress, K, CATCH, 12.0, time) == served
+        assert is_served(loop.table, loop.memory, K, CATCH, 12.0, time) == served
     loop.see(CRACKLE, (2.6, 30.0))
-    assert not is_served(loop.script, loop.progress, K, CATCH, 12.0, arrival + 0.1)
+    assert not is_served(loop.table, loop.memory, K, CATCH, 12.0, arrival + 0.1)

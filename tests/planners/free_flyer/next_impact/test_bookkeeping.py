@@ -13,7 +13,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
 from planners.free_flyer.belief.impact_parameters import NOW, compute_gain_spread, compute_pair_gain, find_row
 from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options
-from planners.free_flyer.belief.plan_table import DEPTH, END, make_script
+from planners.free_flyer.belief.plan_table import DEPTH, END, make_plan_table
 from planners.free_flyer.belief.world_memory import (
     AGENT,
     APPROACH,
@@ -44,7 +44,7 @@ from planners.free_flyer.belief.world_memory import (
     UNKNOWN,
     find_next_event,
     find_strike,
-    make_progress,
+    make_world_memory,
 )
 from planners.free_flyer.closed_loop.world_loop import control_world, should_replan, start_world
 from planners.free_flyer.next_impact.bookkeeping import (
@@ -130,39 +130,39 @@ class Loop:
     """World 1 of three, played step by step."""
 
     def __init__(self, scenario: FreeFlyerScenario, plan: Plan, options: Options = EXPERT) -> None:
-        self.options, self.script = options, make_script(scenario.as_believed(), plan)
-        self.progress = make_progress(self.script, 3)
-        start_world(self.script, self.progress, options, K)
-        self.strike, self.hit = self.progress.strike[K], self.progress.hit[K]
-        self.clock = self.progress.clock[K, : len(self.script.impact)]
+        self.options, self.table = options, make_plan_table(scenario.as_believed(), plan)
+        self.memory = make_world_memory(self.table, 3)
+        start_world(self.table, self.memory, options, K)
+        self.strike, self.hit = self.memory.strike[K], self.memory.hit[K]
+        self.clock = self.memory.clock[K, : len(self.table.impact)]
 
     def count(self, name: str) -> int:
-        return int(self.progress.counts[K, COUNTERS.index(name)])
+        return int(self.memory.counts[K, COUNTERS.index(name)])
 
     def contact(self, robot: int, body: int, now: float) -> None:
-        self.progress.touch[K] = NOBODY
-        self.progress.touch[K, robot] = body
-        take_contact(self.script, self.progress, K, robot, now)
+        self.memory.touch[K] = NOBODY
+        self.memory.touch[K, robot] = body
+        take_contact(self.table, self.memory, K, robot, now)
 
     def feel(self, robot: int, approach: float) -> None:
         """Let a robot's contact be one along x of a robot that stops, with exact velocities."""
-        self.progress.felt[K, robot] = 0.0
-        self.progress.felt[K, robot, [APPROACH, HIT_X, FREE_X]] = approach, 1.0, approach
+        self.memory.felt[K, robot] = 0.0
+        self.memory.felt[K, robot, [APPROACH, HIT_X, FREE_X]] = approach, 1.0, approach
 
     def gain(self, robot: int, item: int) -> float:
-        return float(compute_pair_gain(self.progress, K, robot, item))
+        return float(compute_pair_gain(self.memory, K, robot, item))
 
     def miss(self, now: float) -> None:
-        take_misses(self.script, self.progress, self.options, K, now)
+        take_misses(self.table, self.memory, self.options, K, now)
 
     def indices(self) -> list[int]:
         return [int(index) for index in self.strike[:, IMPACT_INDEX]]
 
     def see(self, body: int, position: tuple[float, float], velocity: tuple[float, float], now: float) -> None:
         """Let a body's estimate be exact."""
-        self.progress.time[K] = now
-        self.progress.filter[K, body] = 0.0
-        self.progress.filter[K, body, :4] = *position, *velocity
+        self.memory.time[K] = now
+        self.memory.filter[K, body] = 0.0
+        self.memory.filter[K, body, :4] = *position, *velocity
 
 
 FOUR = ((10, "snap", "pop"), (30, "crackle", "pop"), (40, "snap", "pip"), (60, "snap", "pop"))
@@ -177,32 +177,32 @@ def loop() -> Loop:
 def test_every_object_waits_for_its_own_next_impact(loop: Loop) -> None:
     assert loop.indices() == [0, 2]
     assert list(loop.strike[:, AGENT]) == [SNAP, SNAP]
-    assert find_strike(loop.progress, K, SNAP) == 0
-    assert find_strike(loop.progress, K, CRACKLE) == END  # pop has to be thrown first
-    assert find_next_event(loop.script, loop.progress, K, CRACKLE) == (30.0, 30.0, 1)
+    assert find_strike(loop.memory, K, SNAP) == 0
+    assert find_strike(loop.memory, K, CRACKLE) == END  # pop has to be thrown first
+    assert find_next_event(loop.table, loop.memory, K, CRACKLE) == (30.0, 30.0, 1)
     loop.contact(SNAP, POP, 10.1)
     assert loop.indices() == [1, 2]
-    assert find_strike(loop.progress, K, CRACKLE) == 0
-    assert find_strike(loop.progress, K, SNAP) == 1
+    assert find_strike(loop.memory, K, CRACKLE) == 0
+    assert find_strike(loop.memory, K, SNAP) == 1
     loop.contact(CRACKLE, POP, 30.0)
-    assert find_next_event(loop.script, loop.progress, K, CRACKLE) == (HORIZON, HORIZON, END)
+    assert find_next_event(loop.table, loop.memory, K, CRACKLE) == (HORIZON, HORIZON, END)
     loop.contact(SNAP, PIP, 40.0)
     assert loop.indices() == [3, END]
     assert loop.strike[1, TIME] == math.inf
     loop.contact(SNAP, POP, 60.0)
     assert loop.indices() == [END, END]
     assert loop.count("unplanned_contact") == 0
-    assert not loop.progress.strike[::2].any()  # other worlds are left alone
+    assert not loop.memory.strike[::2].any()  # other worlds are left alone
 
 
 def test_object_flies_to_its_next_knot_or_to_its_end(loop: Loop) -> None:
-    knot, time, last = find_next_knot(loop.script, loop.progress, K, 0, False)
+    knot, time, last = find_next_knot(loop.table, loop.memory, K, 0, False)
     assert (knot, time, last) == (1, 30.0, False)
-    np.testing.assert_array_equal(loop.script.knot[knot, :2], [3.0, 0.0])
-    knot, time, last = find_next_knot(loop.script, loop.progress, K, 1, False)
+    np.testing.assert_array_equal(loop.table.knot[knot, :2], [3.0, 0.0])
+    knot, time, last = find_next_knot(loop.table, loop.memory, K, 1, False)
     assert (knot, time, last) == (5, HORIZON, True)
-    np.testing.assert_array_equal(loop.script.knot[knot, :2], [7.0, 0.0])
-    assert find_next_knot(loop.script, loop.progress, K, 0, True) == (0, 10.0, False)  # after one that is inserted
+    np.testing.assert_array_equal(loop.table.knot[knot, :2], [7.0, 0.0])
+    assert find_next_knot(loop.table, loop.memory, K, 0, True) == (0, 10.0, False)  # after one that is inserted
 
 
 @pytest.mark.parametrize(
@@ -215,11 +215,11 @@ def test_object_flies_to_its_next_knot_or_to_its_end(loop: Loop) -> None:
     ],
 )
 def test_contacts_that_are_none_of_the_plan(loop: Loop, robot: int, body: int, now: float) -> None:
-    loop.progress.course[K, robot, IMPACT] = 1.0
+    loop.memory.course[K, robot, IMPACT] = 1.0
     loop.contact(robot, body, now)
     assert loop.indices() == [0, 2]
     assert loop.count("unplanned_contact") == 1
-    assert loop.progress.course[K, robot, IMPACT] == 0.0  # it returns to its plan
+    assert loop.memory.course[K, robot, IMPACT] == 0.0  # it returns to its plan
     assert loop.strike[0, LAST] == (now if body == POP else -math.inf)
 
 
@@ -234,7 +234,7 @@ def test_replans_every_half_second_in_the_window(loop: Loop) -> None:
     times = []
     for k in range(350):
         now = 0.1 * k
-        if now >= 10.0 and should_replan(loop.progress, EXPERT, K, CRACKLE, 0, now):
+        if now >= 10.0 and should_replan(loop.memory, EXPERT, K, CRACKLE, 0, now):
             loop.strike[0, REPLANNED] = now
             times.append(now)
     np.testing.assert_allclose(np.diff(times), 0.5)
@@ -245,21 +245,21 @@ def test_replans_every_half_second_in_the_window(loop: Loop) -> None:
 def test_published_code_plans_each_impact_once(loop: Loop) -> None:
     once, times = VARIANTS["one_replan"], []
     for k in range(100):
-        if should_replan(loop.progress, once, K, SNAP, 0, 0.1 * k):
+        if should_replan(loop.memory, once, K, SNAP, 0, 0.1 * k):
             loop.strike[0, REPLANNED] = 0.1 * k
             times.append(0.1 * k)
     assert times == [0.0]
 
 
 def test_correction_is_due_once_per_impact(loop: Loop) -> None:
-    assert find_due(loop.script, loop.progress, K, 10 - DECISION_LEAD - 0.1) == END
-    assert find_due(loop.script, loop.progress, K, 10 - DECISION_LEAD) == 0
+    assert find_due(loop.table, loop.memory, K, 10 - DECISION_LEAD - 0.1) == END
+    assert find_due(loop.table, loop.memory, K, 10 - DECISION_LEAD) == 0
     loop.strike[0, DECIDED] = 1.0
-    assert find_due(loop.script, loop.progress, K, 9.0) == END
+    assert find_due(loop.table, loop.memory, K, 9.0) == END
     loop.contact(SNAP, POP, 23.0)  # late
     # It would be due at 22 s, but the object is not yet seen well.
-    assert find_due(loop.script, loop.progress, K, 23.0 + DECISION_SETTLE - 0.1) == END
-    assert find_due(loop.script, loop.progress, K, 23.0 + DECISION_SETTLE) == 0
+    assert find_due(loop.table, loop.memory, K, 23.0 + DECISION_SETTLE - 0.1) == END
+    assert find_due(loop.table, loop.memory, K, 23.0 + DECISION_SETTLE) == 0
 
 
 def test_late_impact_leaves_notice_for_the_next_one_and_time_for_the_rest(loop: Loop) -> None:
@@ -278,19 +278,19 @@ def test_impact_at_its_time_moves_no_other(loop: Loop) -> None:
 def test_robots_clocks_follow_the_expected_times(loop: Loop) -> None:
     """A robot that follows its plan is where the plan has it at an impact when the impact is expected."""
     loop.contact(SNAP, POP, 29.0)
-    time, planned, index = find_next_event(loop.script, loop.progress, K, CRACKLE)
+    time, planned, index = find_next_event(loop.table, loop.memory, K, CRACKLE)
     assert (time, planned, index) == (29.0 + SHORTEST_NOTICE, 30.0, 1)
-    assert read_clock(loop.progress.course, K, CRACKLE, time) == pytest.approx(planned)
-    assert loop.progress.course[K, CRACKLE, STOP] == planned
+    assert read_clock(loop.memory.course, K, CRACKLE, time) == pytest.approx(planned)
+    assert loop.memory.course[K, CRACKLE, STOP] == planned
 
 
 def test_later_impacts_stay_in_their_windows() -> None:
     scenario = make_scenario("F[8,12] pop.x >= 0.9 & F[28,35] pop.x >= 2.9 & G[100,100] pop.x <= 99")
     loop = Loop(scenario, make_plan(scenario, (10, "snap", "pop"), (30, "crackle", "pop"), (60, "snap", "pop")))
-    set_time(loop.script, loop.progress, K, 0, 0, 50.0)
+    set_time(loop.table, loop.memory, K, 0, 0, 50.0)
     np.testing.assert_allclose(loop.clock, [50, 50, 50 + (60 - 10) * 50 / 90])  # closed at 35, but not before the first
     loop = Loop(scenario, make_plan(scenario, (10, "snap", "pop"), (30, "crackle", "pop"), (60, "snap", "pop")))
-    set_time(loop.script, loop.progress, K, 0, 0, 24.0)
+    set_time(loop.table, loop.memory, K, 0, 0, 24.0)
     np.testing.assert_allclose(loop.clock[:2], [24, 35])
 
 
@@ -377,24 +377,24 @@ def test_what_was_learned_waits_for_the_velocity_and_ends_with_the_next_contact(
     """The robot approaches at 0.1 m/s, which is believed to give 0.09 m/s; it gives 0.07."""
     loop.strike[0, [SOLVED, CHANGE]] = 1.0, 0.08  # the expert asked for 0.08 m/s
     loop.see(POP, (0, 0), (0.01, 0.02), 10.0)
-    remember_before(loop.script, loop.progress, K)
+    remember_before(loop.table, loop.memory, K)
     loop.feel(SNAP, 0.1)
     loop.contact(SNAP, POP, 10.0)
-    before = compute_gain_spread(loop.progress, K, SNAP, 0)
+    before = compute_gain_spread(loop.memory, K, SNAP, 0)
     for now, speed in ((10.9, 0.5), (11.0, 0.07)):
         loop.see(POP, (0, 0), (0.01 + speed, 0.02), now)
-        learn_from_hits(loop.script, loop.progress, EXPERT, K, now)
+        learn_from_hits(loop.table, loop.memory, EXPERT, K, now)
         if now < 11.0:
             assert loop.hit[0, RATIO] == 0.0
             assert loop.gain(SNAP, 0) == pytest.approx(0.9)
     assert loop.hit[0, RATIO] == pytest.approx(0.07 / 0.08)
     assert loop.hit[0, SEEN] == 1.0
     assert loop.gain(SNAP, 0) == pytest.approx(0.7, abs=0.02)  # what is seen counts more than what was believed
-    assert compute_gain_spread(loop.progress, K, SNAP, 0) < 0.4 * before
+    assert compute_gain_spread(loop.memory, K, SNAP, 0) < 0.4 * before
     learned = loop.gain(SNAP, 0)
     loop.contact(CRACKLE, POP, 13.0)  # not the planned time: a disturbance
     loop.see(POP, (0, 0), (0.3, 0.0), 15.0)
-    learn_from_hits(loop.script, loop.progress, EXPERT, K, 15.0)
+    learn_from_hits(loop.table, loop.memory, EXPERT, K, 15.0)
     assert loop.hit[0, RATIO] == pytest.approx(0.07 / 0.08)
     assert loop.gain(SNAP, 0) == learned
 
@@ -402,13 +402,13 @@ def test_what_was_learned_waits_for_the_velocity_and_ends_with_the_next_contact(
 def test_drift_is_not_blamed_on_the_impact(loop: Loop) -> None:
     loop.strike[0, [SOLVED, CHANGE]] = 1.0, 0.09
     loop.see(POP, (0, 0), (0.0, 0.0), 10.0)
-    remember_before(loop.script, loop.progress, K)
+    remember_before(loop.table, loop.memory, K)
     loop.feel(SNAP, 0.1)
     loop.contact(SNAP, POP, 10.0)
-    flight = 2.0 + loop.script.period  # from the last look before the contact
+    flight = 2.0 + loop.table.period  # from the last look before the contact
     loop.see(POP, (0, 0), (0.09 + flight * 1e-3, flight * 5e-3), 12.0)
-    loop.progress.filter[K, POP, 4:6] = 1e-3, 5e-3
-    learn_from_hits(loop.script, loop.progress, EXPERT, K, 12.0)
+    loop.memory.filter[K, POP, 4:6] = 1e-3, 5e-3
+    learn_from_hits(loop.table, loop.memory, EXPERT, K, 12.0)
     assert loop.gain(SNAP, 0) == pytest.approx(0.9, abs=1e-6)
     assert loop.hit[0, BEFORE_X] == 0.0
 
@@ -418,7 +418,7 @@ def test_variants_without_learning_keep_what_is_believed(loop: Loop) -> None:
     loop.feel(SNAP, 0.1)
     loop.contact(SNAP, POP, 10.0)
     loop.see(POP, (0, 0), (0.05, 0.0), 12.0)
-    learn_from_hits(loop.script, loop.progress, VARIANTS["paper_expert"], K, 12.0)
+    learn_from_hits(loop.table, loop.memory, VARIANTS["paper_expert"], K, 12.0)
     assert loop.gain(SNAP, 0) == pytest.approx(0.9, abs=1e-12)
     assert loop.hit[0, RATIO] == pytest.approx(0.05 / 0.09)  # it is seen all the same, for learners
 
@@ -434,7 +434,7 @@ def test_desired_velocity_leads_to_the_target_under_drift() -> None:
 
 def test_aims_at_the_next_knot(loop: Loop) -> None:
     loop.see(POP, (0.5, 1.0), (0.01, 0.0), 2.0)
-    wish = np.array(aim(loop.script, loop.progress, EXPERT, K, 0))
+    wish = np.array(aim(loop.table, loop.memory, EXPERT, K, 0))
     np.testing.assert_allclose(wish, ([3.0, 0.0] - np.array([0.58, 1.0])) / 20.0, atol=1e-12)
 
 
@@ -447,10 +447,10 @@ def last_aim(
     """Return where the object ends after its last impact at a time, which finds it at a position, flying along x."""
     scenario = make_scenario(GOAL)
     loop = Loop(scenario, make_plan(scenario, (10, "snap", "pop")), options)
-    assert loop.script.knot[1, DEPTH] == 3.0
+    assert loop.table.knot[1, DEPTH] == 3.0
     loop.see(POP, (position[0] - speed * (time - now), position[1]), (speed, 0.0), now)
-    set_time(loop.script, loop.progress, K, 0, 0, time)
-    wish = np.array(aim(loop.script, loop.progress, options, K, 0))
+    set_time(loop.table, loop.memory, K, 0, 0, time)
+    wish = np.array(aim(loop.table, loop.memory, options, K, 0))
     return np.array(position) + (HORIZON - time) * wish
 
 
@@ -472,15 +472,15 @@ def test_last_impact_stops_the_object_where_it_is_deep_enough() -> None:
 
 def test_share_of_the_way_that_is_deep_enough() -> None:
     scenario = make_scenario(GOAL)
-    script = make_script(scenario, make_plan(scenario, (10, "snap", "pop")))
+    table = make_plan_table(scenario, make_plan(scenario, (10, "snap", "pop")))
     deep = DEEP_ENOUGH * 3.0
-    share = find_share(script, 1, 3.0, 2.0, 7.0, 0.0)
+    share = find_share(table, 1, 3.0, 2.0, 7.0, 0.0)
     x, y = 3.0 + share * 4.0, 2.0 - share * 2.0
     assert min(x - 4.0, 3.0 - abs(y)) == pytest.approx(deep)
-    assert find_share(script, 1, 6.9, 0.1, 7.0, 0.0) == 0.0
-    assert compute_margin(script, 1, 5.0, 1.0) == 1.0
-    assert compute_margin(script, 1, 3.0, 1.0) == -1.0
-    assert compute_margin(script, 0, 3.0, 1.0) == math.inf
+    assert find_share(table, 1, 6.9, 0.1, 7.0, 0.0) == 0.0
+    assert compute_margin(table, 1, 5.0, 1.0) == 1.0
+    assert compute_margin(table, 1, 3.0, 1.0) == -1.0
+    assert compute_margin(table, 0, 3.0, 1.0) == math.inf
 
 
 def test_room_is_that_of_the_robot_behind_the_object() -> None:
@@ -488,24 +488,24 @@ def test_room_is_that_of_the_robot_behind_the_object() -> None:
     scenario = make_scenario("G[0,100] (snap.x >= 0.3 & snap.y <= 1.5) & F[0,100] pop.x >= -9")
     loop = Loop(scenario, make_plan(scenario, (10, "snap", "pop")))
     loop.see(POP, (1.0, 1.0), (0.0, 0.0), 5.0)
-    assert compute_room(loop.script, loop.progress, K, 0, SNAP, 10.0, 0.1, 0.0) == pytest.approx(0.3)
-    assert compute_room(loop.script, loop.progress, K, 0, SNAP, 10.0, 0.0, -0.1) == pytest.approx(0.1)
-    assert compute_room(loop.script, loop.progress, K, 0, CRACKLE, 10.0, 0.0, -0.1) > 100.0  # only the world's walls
+    assert compute_room(loop.table, loop.memory, K, 0, SNAP, 10.0, 0.1, 0.0) == pytest.approx(0.3)
+    assert compute_room(loop.table, loop.memory, K, 0, SNAP, 10.0, 0.0, -0.1) == pytest.approx(0.1)
+    assert compute_room(loop.table, loop.memory, K, 0, CRACKLE, 10.0, 0.0, -0.1) > 100.0  # only the world's walls
 
 
 def test_turn_is_the_cosine_to_the_planned_normal(loop: Loop) -> None:
     loop.see(POP, (0.5, 1.0), (0.05, 0.0), 5.0)
     for angle in (0.0, 0.5, 2.0, math.pi):
         wish = 0.05 + 0.1 * math.cos(angle), 0.1 * math.sin(angle)
-        assert compute_turn(loop.script, loop.progress, K, 0, *wish) == pytest.approx(math.cos(angle))
+        assert compute_turn(loop.table, loop.memory, K, 0, *wish) == pytest.approx(math.cos(angle))
 
 
 def test_drift_makes_the_next_flight_short_enough_to_stay_near_the_straight_way(loop: Loop) -> None:
     loop.see(POP, (1.0, 0.0), (0.0, 0.0), 5.0)
-    hasten(loop.script, loop.progress, K, 0)
+    hasten(loop.table, loop.memory, K, 0)
     assert loop.clock[1] == 30.0
-    loop.progress.filter[K, POP, 5] = 0.02
-    hasten(loop.script, loop.progress, K, 0)
+    loop.memory.filter[K, POP, 5] = 0.02
+    hasten(loop.table, loop.memory, K, 0)
     # a L^2 / 8 = BEND says L = 10 s; the object is 0.75 m (drift since 5 s: 0.25 m) and 2 m away from its knot
     way = math.hypot(2.0, 0.25)
     assert loop.clock[1] == pytest.approx(10.0 + max(math.sqrt(8 * BEND / 0.02), way / CRUISE))
@@ -515,17 +515,17 @@ def test_drift_makes_the_next_flight_short_enough_to_stay_near_the_straight_way(
 def test_replan_leads_the_robot_behind_the_object_with_the_speed_that_is_needed(loop: Loop) -> None:
     loop.see(POP, (1.0, 0.5), (0.0, 0.0), 2.0)
     loop.see(SNAP, (0.0, 0.5), (0.0, 0.0), 2.0)
-    replan(loop.script, loop.progress, EXPERT, K, SNAP, 0, 2.0)
+    replan(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
     wish = (np.array([3.0, 0.0]) - [1.0, 0.5]) / 20.0
     normal, factor = wish / np.linalg.norm(wish), 0.9
     contact, minus = [CONTACT_X, CONTACT_Y], [MINUS_X, MINUS_Y]
     np.testing.assert_allclose(loop.strike[0, contact], np.array([1.0, 0.5]) - 0.4 * normal, atol=1e-12)
     np.testing.assert_allclose(loop.strike[0, minus], np.linalg.norm(wish) / factor * normal, atol=1e-12)
-    assert loop.progress.course[K, SNAP, IMPACT] == 1.0
+    assert loop.memory.course[K, SNAP, IMPACT] == 1.0
     assert (loop.count("replans"), loop.count("lost")) == (1, 0)
     # A restitution that was learned changes the approach, not the aim.
-    loop.progress.pair[K, NOW, find_row(loop.progress, SNAP, 0), 0] = 0.4
-    replan(loop.script, loop.progress, EXPERT, K, SNAP, 0, 2.0)
+    loop.memory.pair[K, NOW, find_row(loop.memory, SNAP, 0), 0] = 0.4
+    replan(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
     np.testing.assert_allclose(loop.strike[0, minus], np.linalg.norm(wish) / 0.7 * normal, atol=1e-12)
 
 
@@ -534,19 +534,19 @@ def test_gentle_hit_comes_at_constant_speed(loop: Loop, speed: float, steady: fl
     """The object rests so far from its next place that it needs 0.9 times that approach speed."""
     loop.see(POP, (3.0 - 0.9 * speed * 20.0, 0.0), (0.0, 0.0), 2.0)
     loop.see(SNAP, (0.0, 0.5), (0.0, 0.0), 2.0)  # where its plan rests
-    replan(loop.script, loop.progress, EXPERT, K, SNAP, 0, 2.0)
-    course, contact = loop.progress.course, loop.strike[0, [CONTACT_X, CONTACT_Y]]
+    replan(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
+    course, contact = loop.memory.course, loop.strike[0, [CONTACT_X, CONTACT_Y]]
     assert loop.count("lost") == 0
     assert course[K, SNAP, UNTIL] == pytest.approx(10.0 - steady)
     for ahead in np.linspace(0.0, steady, 5):
-        motion = evaluate_course(course, loop.script.breaks, loop.script.coefficients, K, SNAP, 10.0 - ahead)
+        motion = evaluate_course(course, loop.table.breaks, loop.table.coefficients, K, SNAP, 10.0 - ahead)
         np.testing.assert_allclose(motion[:4], [contact[0] - ahead * speed, contact[1], speed, 0.0], atol=1e-9)
 
 
 def test_robot_that_was_lost_starts_from_where_it_is(loop: Loop) -> None:
     loop.see(POP, (1.0, 0.5), (0.0, 0.0), 2.0)
     loop.see(SNAP, (0.0, 2.5), (0.01, 0.0), 2.0)  # its plan rests at (0, 0.5)
-    replan(loop.script, loop.progress, EXPERT, K, SNAP, 0, 2.0)
+    replan(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
     assert loop.count("lost") == 1
 
 
@@ -555,16 +555,16 @@ def test_robot_does_not_set_off_to_a_later_impact_before_an_earlier_one() -> Non
     scenario = make_scenario()
     loop = Loop(scenario, make_plan(scenario, (10, "crackle", "pip"), (20, "crackle", "pop")))
     workspace, actions = make_workspace(), np.zeros((3, 2, 3))
-    loop.progress.time[K] = 5.0
-    control_world(loop.script, loop.progress, EXPERT, workspace, 0, K, actions)
+    loop.memory.time[K] = 5.0
+    control_world(loop.table, loop.memory, EXPERT, workspace, 0, K, actions)
     assert list(loop.strike[:, SOLVED]) == [0.0, 1.0]
-    assert loop.progress.course[K, :, IMPACT].tolist() == [0.0, 1.0]
+    assert loop.memory.course[K, :, IMPACT].tolist() == [0.0, 1.0]
     assert np.isfinite(actions[K]).all()
 
 
 def test_velocity_before_a_contact_is_that_of_the_step_before(loop: Loop) -> None:
     loop.see(POP, (0, 0), (0.03, 0.01), 9.9)
-    remember_before(loop.script, loop.progress, K)
+    remember_before(loop.table, loop.memory, K)
     loop.see(POP, (0, 0), (0.2, 0.1), 10.0)
     loop.strike[0, SOLVED] = 1.0
     loop.contact(SNAP, POP, 10.0)

@@ -16,7 +16,18 @@ from planners.bezier import Curve
 from planners.cones import solve_clarabel
 from planners.errors import Infeasible
 from planners.free_flyer.belief.options import EXPERT
-from planners.free_flyer.belief.plan_table import AT, CLOSE, DEPTH, END, FACES, NEXT, NORMAL_X, OPEN, ROBOT, make_script
+from planners.free_flyer.belief.plan_table import (
+    AT,
+    CLOSE,
+    DEPTH,
+    END,
+    FACES,
+    NEXT,
+    NORMAL_X,
+    OPEN,
+    ROBOT,
+    make_plan_table,
+)
 from planners.free_flyer.belief.world_memory import (
     ASTRAY,
     COUNTERS,
@@ -27,7 +38,7 @@ from planners.free_flyer.belief.world_memory import (
     NOBODY,
     OPTIMISED,
     TIME,
-    make_progress,
+    make_world_memory,
 )
 from planners.free_flyer.closed_loop.world_loop import look_ahead, start_world
 from planners.free_flyer.next_impact.bookkeeping import SETTLE, take_contact
@@ -125,50 +136,50 @@ class Loop:
 
     def __init__(self, formula: str, hits: tuple[Hit, ...], side: float = 1.0) -> None:
         scenario = make_scenario(formula, hits, side)
-        self.script, self.side = make_script(scenario, make_plan(scenario, hits, side)), side
-        self.progress, self.program = make_progress(self.script, 3), make_program(3)
-        start_world(self.script, self.progress, ONLY, K)
+        self.table, self.side = make_plan_table(scenario, make_plan(scenario, hits, side)), side
+        self.memory, self.program = make_world_memory(self.table, 3), make_program(3)
+        start_world(self.table, self.memory, ONLY, K)
         self.strike, self.clock, self.place = (
-            table[K] for table in (self.progress.strike, self.progress.clock, self.progress.place)
+            table[K] for table in (self.memory.strike, self.memory.clock, self.memory.place)
         )
-        self.progress.touch[K] = NOBODY
-        self.progress.touch[K, SNAP] = POP
-        self.progress.time[K] = HIT
-        take_contact(self.script, self.progress, K, SNAP, HIT)
-        self.progress.time[K] = NOW
+        self.memory.touch[K] = NOBODY
+        self.memory.touch[K, SNAP] = POP
+        self.memory.time[K] = HIT
+        take_contact(self.table, self.memory, K, SNAP, HIT)
+        self.memory.time[K] = NOW
         self.see(SNAP, (2.0, -1.5))
         self.see(CRACKLE, (2.5, 1.8))
 
     def see(self, body: int, position: tuple[float, float], velocity: tuple[float, float] = (0.0, 0.0)) -> None:
         """Let a body's estimate be exact."""
         flip = [1.0, self.side]
-        self.progress.filter[K, body] = 0.0
-        self.progress.filter[K, body, :4] = *np.multiply(position, flip), *np.multiply(velocity, flip)
+        self.memory.filter[K, body] = 0.0
+        self.memory.filter[K, body, :4] = *np.multiply(position, flip), *np.multiply(velocity, flip)
 
     def fly(self, vx: float, vy: float = 0.0) -> None:
         """Let pop fly with a velocity since its impact."""
         self.see(POP, (1.0 + vx * (NOW - HIT), vy * (NOW - HIT)), (vx, vy))
 
     def optimise(self) -> bool:
-        return bool(reoptimise(self.script, self.progress, self.program, C, K, 0, NOW))
+        return bool(reoptimise(self.table, self.memory, self.program, C, K, 0, NOW))
 
     def count(self, name: str) -> int:
-        return int(self.progress.counts[K, COUNTERS.index(name)])
+        return int(self.memory.counts[K, COUNTERS.index(name)])
 
     def chain(self) -> list[int]:
         """Return pop's knots that are left, the end included."""
         found, at = [], int(self.strike[0, IMPACT_INDEX])
         while at != END:
             found.append(at)
-            at = int(self.script.impact[at, NEXT])
-        return [*found, len(self.script.impact)]
+            at = int(self.table.impact[at, NEXT])
+        return [*found, len(self.table.impact)]
 
 
 def disturb(loop: Loop, seed: int) -> None:
     """Let pop's first throw go wrong, and robots stand somewhere else."""
     rng = np.random.default_rng(seed)
-    first = loop.script.knot[loop.chain()[0], :2]
-    right = (first - [1.0, 0.0]) / (loop.script.impact[loop.chain()[0], AT] - HIT) * [1.0, loop.side]
+    first = loop.table.knot[loop.chain()[0], :2]
+    right = (first - [1.0, 0.0]) / (loop.table.impact[loop.chain()[0], AT] - HIT) * [1.0, loop.side]
     fx, fy = rng.uniform(0.75, 1.3) * right + rng.uniform(-0.02, 0.02, 2)
     loop.fly(fx, fy)
     for robot, x, y in ((SNAP, 2.0, -1.5), (CRACKLE, 2.5, 1.8)):
@@ -187,11 +198,11 @@ class Problem(NamedTuple):
 
 def make_problem(loop: Loop) -> Problem:
     """Build what `reoptimise` solves from its description: times in s, places in m, by plain linear maps."""
-    script, chain = loop.script, loop.chain()
+    table, chain = loop.table, loop.chain()
     m = len(chain) - 1
     size = 3 * m + 1
     unit = np.eye(size)
-    z = loop.progress.filter[K, POP]
+    z = loop.memory.filter[K, POP]
     # An expression is a pair (row over y, constant).
     times = [(unit[i], 0.0) for i in range(m)] + [(np.zeros(size), HORIZON)]
     places = [[(z[2 + a] * unit[0], z[a] - z[2 + a] * NOW) for a in range(2)]]
@@ -202,18 +213,18 @@ def make_problem(loop: Loop) -> Problem:
     def at_most(row: np.ndarray, constant: float, bound: float) -> None:
         rows.append((row, bound - constant))
 
-    residuals = [(rho / SCALE_RHO, min([*script.knot[chain, DEPTH], np.inf]) / SCALE_RHO)]
+    residuals = [(rho / SCALE_RHO, min([*table.knot[chain, DEPTH], np.inf]) / SCALE_RHO)]
     if not np.isfinite(residuals[0][1]):
         residuals = [(rho / SCALE_RHO, 0.0)]
     for i, knot in enumerate(chain):
         for a in range(2):
             row, constant = places[i][a]
-            residuals.append((row / SCALE_PLACE, (script.knot[knot, a] - constant) / SCALE_PLACE))
-        for x, y, bound in script.face[knot, : int(script.knot[knot, FACES])]:
+            residuals.append((row / SCALE_PLACE, (table.knot[knot, a] - constant) / SCALE_PLACE))
+        for x, y, bound in table.face[knot, : int(table.knot[knot, FACES])]:
             row = x * places[i][0][0] + y * places[i][1][0] + rho
             at_most(row, x * places[i][0][1] + y * places[i][1][1], bound)
     for i, knot in enumerate(chain[:-1]):
-        old, opens, closes = loop.clock[knot], script.knot[knot, OPEN], script.knot[knot, CLOSE]
+        old, opens, closes = loop.clock[knot], table.knot[knot, OPEN], table.knot[knot, CLOSE]
         residuals.append((unit[i] / SCALE_TIME, old / SCALE_TIME))
         inset = min(INSET, (closes - opens) / 4)
         latest = max(HORIZON - max(RESERVE, RESERVE_SHARE * HORIZON), old)
@@ -221,20 +232,20 @@ def make_problem(loop: Loop) -> Problem:
         soonest = max(opens + inset, min(NOW + NOTICE, old)) if i == 0 else opens + inset
         at_most(-unit[i], 0.0, -soonest)
         if i:
-            planned = script.impact[knot, AT] - script.impact[chain[i - 1], AT]
+            planned = table.impact[knot, AT] - table.impact[chain[i - 1], AT]
             at_most(unit[i - 1] - unit[i], 0.0, -min(GAP, planned))
     for i in range(m):
         leg = [(places[i + 1][a][0] - places[i][a][0], places[i + 1][a][1] - places[i][a][1]) for a in range(2)]
         span = (times[i + 1][0] - times[i][0], times[i + 1][1] - times[i][1])
         for (row, constant), sign in itertools.product(leg, (1.0, -1.0)):
             at_most(sign * row - FASTEST * span[0], sign * constant - FASTEST * span[1], 0.0)
-        wish = script.knot[chain[i + 1], :2] - script.knot[chain[i], :2]
+        wish = table.knot[chain[i + 1], :2] - table.knot[chain[i], :2]
         if np.hypot(*wish) < SHORTEST_LEG:
             continue
         for knot, way in ((chain[i], 1.0), (chain[i + 1], -1.0)):
             if knot == chain[-1]:
                 continue
-            n = script.impact[knot, NORMAL_X : NORMAL_X + 2]
+            n = table.impact[knot, NORMAL_X : NORMAL_X + 2]
             side = np.array([-n[1], n[0]])
             if abs(side @ wish) > WIDEST * way * (n @ wish):
                 continue
@@ -253,11 +264,11 @@ def compute_span(way: float) -> float:
 
 def robot_rows(loop: Loop, chain: list[int], times: list, places: list) -> list[tuple[np.ndarray, float, float]]:
     """Return what gives robots time: the tangent of the square root at the way that is expected now."""
-    script, found = loop.script, []
-    z = loop.progress.filter[K, POP]
-    expected = {knot: loop.place[knot].copy() for knot in range(len(script.impact))}
+    table, found = loop.table, []
+    z = loop.memory.filter[K, POP]
+    expected = {knot: loop.place[knot].copy() for knot in range(len(table.impact))}
     expected[chain[0]] = z[:2] + z[2:4] * (loop.clock[chain[0]] - NOW)
-    stand = {i: expected[i] - REACH * script.impact[i, NORMAL_X : NORMAL_X + 2] for i in expected}
+    stand = {i: expected[i] - REACH * table.impact[i, NORMAL_X : NORMAL_X + 2] for i in expected}
 
     def give(i: int, since: np.ndarray, other: tuple[np.ndarray, float], sign: float, longest: float) -> None:
         knot = chain[i]
@@ -270,18 +281,18 @@ def robot_rows(loop: Loop, chain: list[int], times: list, places: list) -> list[
         found.append((row, constant, 0.0))
 
     for i, knot in enumerate(chain[:-1]):
-        r = int(script.impact[knot, ROBOT])
-        mine = [j for j in range(i) if script.impact[chain[j], ROBOT] == r]
+        r = int(table.impact[knot, ROBOT])
+        mine = [j for j in range(i) if table.impact[chain[j], ROBOT] == r]
         if mine:
             j = mine[-1]
-            longest = script.impact[knot, AT] - script.impact[chain[j], AT]
+            longest = table.impact[knot, AT] - table.impact[chain[j], AT]
             give(i, stand[chain[j]], times[j], 1.0, longest)
         else:
-            give(i, loop.progress.filter[K, r, :2], (np.zeros(len(times[0][0])), NOW), 1.0, np.inf)
-        for other in range(len(script.impact)):
-            if other not in chain and script.impact[other, AT] > HIT and script.impact[other, ROBOT] == r:
+            give(i, loop.memory.filter[K, r, :2], (np.zeros(len(times[0][0])), NOW), 1.0, np.inf)
+        for other in range(len(table.impact)):
+            if other not in chain and table.impact[other, AT] > HIT and table.impact[other, ROBOT] == r:
                 sign = 1.0 if loop.clock[knot] >= loop.clock[other] else -1.0
-                longest = abs(script.impact[knot, AT] - script.impact[other, AT])
+                longest = abs(table.impact[knot, AT] - table.impact[other, AT])
                 give(i, stand[other], (np.zeros(len(times[0][0])), loop.clock[other]), sign, longest)
     return found
 
@@ -304,7 +315,7 @@ def make_loop(case: str, seed: int | None = None) -> Loop:
     loop = Loop(*CASES[case])
     if seed is None:
         first = loop.chain()[0]
-        vx, vy = (loop.script.knot[first, :2] - [1.0, 0.0]) / (loop.script.impact[first, AT] - HIT)
+        vx, vy = (loop.table.knot[first, :2] - [1.0, 0.0]) / (loop.table.impact[first, AT] - HIT)
         loop.fly(vx, vy)
     else:
         disturb(loop, seed)
@@ -342,7 +353,7 @@ def test_plan_on_time_keeps_its_clocks_and_places(formula: str) -> None:
 @pytest.mark.parametrize("seed", range(12))
 def test_every_promise_is_kept_after_a_wrong_throw(case: str, seed: int) -> None:
     loop = make_loop(case, seed)
-    problem, chain, script = make_problem(loop), loop.chain(), loop.script
+    problem, chain, table = make_problem(loop), loop.chain(), loop.table
     before, clocks, places = read_point(loop), loop.clock.copy(), loop.place.copy()
     assert loop.optimise()
     check_rows(loop, problem)
@@ -350,11 +361,11 @@ def test_every_promise_is_kept_after_a_wrong_throw(case: str, seed: int) -> None
     assert np.abs(read_point(loop) - before).max() > 1e-3
     assert loop.strike[0, TIME] == times[0]
     # The same without the tables of rows: windows, order, reserve, speed.
-    assert (times >= script.knot[chain[:-1], OPEN] - 1e-7).all()
-    assert (times <= script.knot[chain[:-1], CLOSE] + 1e-7).all()
+    assert (times >= table.knot[chain[:-1], OPEN] - 1e-7).all()
+    assert (times <= table.knot[chain[:-1], CLOSE] + 1e-7).all()
     assert (np.diff(times) >= GAP - 1e-7).all()
     assert times[-1] <= HORIZON - RESERVE_SHARE * HORIZON + 1e-7
-    x, v = loop.progress.filter[K, POP, :2], loop.progress.filter[K, POP, 2:4]
+    x, v = loop.memory.filter[K, POP, :2], loop.memory.filter[K, POP, 2:4]
     points = np.vstack([x + v * (times[0] - NOW), loop.place[chain[1:]]])
     speeds = np.abs(np.diff(points, axis=0)) / np.diff([*times, HORIZON])[:, None]
     assert speeds.max() <= FASTEST + 1e-7
@@ -369,7 +380,7 @@ def test_every_promise_is_kept_after_a_wrong_throw(case: str, seed: int) -> None
 @pytest.mark.parametrize("seed", range(12))
 def test_margin_is_the_plans_or_what_is_left_of_it(case: str, seed: int) -> None:
     loop = make_loop(case, seed)
-    problem, planned = make_problem(loop), loop.script.knot[loop.chain(), DEPTH].min()
+    problem, planned = make_problem(loop), loop.table.knot[loop.chain(), DEPTH].min()
     assert loop.optimise()
     rho = loop.program.centre[C, len(problem.J[0]) - 1] + SCALE_RHO * loop.program.point[C, len(problem.J[0]) - 1]
     assert rho <= planned + 1e-9
@@ -399,7 +410,7 @@ def test_mirrored_world_is_optimised_mirrored(case: str, seed: int) -> None:
     turned = turned.replace("pop.y <= -0.5)", "pop.y >= 0.5)").replace("84] pop.y >= 1", "84] pop.y <= -1")
     turned = turned.replace("pop.y <= 2)", "pop.y >= -2)") if formula == SLALOM else formula
     mirrored = Loop(turned, hits, -1.0)
-    mirrored.progress.filter[K] = loop.progress.filter[K] * np.array([1, -1] * 3 + [1] * 6)
+    mirrored.memory.filter[K] = loop.memory.filter[K] * np.array([1, -1] * 3 + [1] * 6)
     assert loop.optimise()
     assert mirrored.optimise()
     np.testing.assert_allclose(mirrored.clock, loop.clock, atol=1e-7)
@@ -446,7 +457,7 @@ def test_robot_that_comes_late_is_waited_for() -> None:
     assert loop.optimise()
     assert loop.clock[1] > 40.0
     place = np.array([1.0 + 0.1 * (loop.clock[1] - HIT), 0.0])
-    way = place - REACH * loop.script.impact[1, NORMAL_X : NORMAL_X + 2] - [2.0, 48.0]
+    way = place - REACH * loop.table.impact[1, NORMAL_X : NORMAL_X + 2] - [2.0, 48.0]
     # A tangent takes the way's length and its change along the way expected before: 0.15 s too little here.
     assert loop.clock[1] - NOW >= compute_span(float(np.hypot(*way))) - 0.3
 
@@ -455,15 +466,15 @@ def test_no_feasible_point_is_said_and_changes_nothing() -> None:
     loop = far_robot()
     with pytest.raises(Infeasible):
         solve(make_problem(loop))
-    before = [table.copy() for table in loop.progress]
+    before = [table.copy() for table in loop.memory]
     assert not loop.optimise()
-    for table, old in zip(loop.progress, before, strict=True):
+    for table, old in zip(loop.memory, before, strict=True):
         np.testing.assert_array_equal(table, old)
 
 
 def look(loop: Loop, now: float) -> None:
-    loop.progress.time[K] = now
-    look_ahead(loop.script, loop.progress, ONLY, loop.program, C, K, now)
+    loop.memory.time[K] = now
+    look_ahead(loop.table, loop.memory, ONLY, loop.program, C, K, now)
 
 
 def test_no_optimum_is_counted_once_per_impact_and_a_flight_astray_asks_sooner_for_a_new_plan() -> None:
@@ -472,7 +483,7 @@ def test_no_optimum_is_counted_once_per_impact_and_a_flight_astray_asks_sooner_f
     for step in range(20):
         look(loop, NOW + 0.1 * step)
     assert (loop.count("no_optimum"), loop.count("reoptimised")) == (1, 0)
-    assert (loop.progress.wanted == np.inf).all()
+    assert (loop.memory.wanted == np.inf).all()
     assert loop.strike[0, ASTRAY] == pytest.approx(NOW - LONG_ASTRAY + SOON)
     np.testing.assert_array_equal(loop.clock, clocks)
 
@@ -487,7 +498,7 @@ def test_optimised_once_after_every_contact_when_the_flight_is_known() -> None:
         times += [now] * (loop.count("reoptimised") - before)
     assert times == pytest.approx([NOW])
     assert loop.strike[0, OPTIMISED] == pytest.approx(NOW)
-    assert loop.progress.wanted[K] == np.inf
+    assert loop.memory.wanted[K] == np.inf
     loop.strike[0, LAST] = 40.0
     for step in range(30):
         look(loop, 40.0 + 0.1 * step)
@@ -506,7 +517,7 @@ def test_not_optimised_where_there_is_nothing_to_be_done(change: str) -> None:
         loop.strike[0, IMPACT_INDEX] = END
     clocks = loop.clock.copy()
     loop.strike[0, LOOKED] = -np.inf
-    look_ahead(loop.script, loop.progress, options, loop.program, C, K, now)
+    look_ahead(loop.table, loop.memory, options, loop.program, C, K, now)
     assert (loop.count("no_optimum"), loop.count("reoptimised")) == (0, 0)
     np.testing.assert_array_equal(loop.clock, clocks)
 
@@ -518,7 +529,7 @@ def test_threads_optimise_in_places_of_their_own() -> None:
     assert loop.optimise()
     for part in loop.program:
         assert (part[[0, 2]] == 7).all()
-    assert reoptimise(other.script, other.progress, other.program, 2, K, 0, NOW)
+    assert reoptimise(other.table, other.memory, other.program, 2, K, 0, NOW)
     np.testing.assert_array_equal(other.clock, loop.clock)
     np.testing.assert_array_equal(other.place, loop.place)
 

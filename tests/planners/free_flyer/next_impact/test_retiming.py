@@ -12,7 +12,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain
 from planners.free_flyer.belief.options import VARIANTS, Options
-from planners.free_flyer.belief.plan_table import END, make_script
+from planners.free_flyer.belief.plan_table import END, make_plan_table
 from planners.free_flyer.belief.world_memory import (
     AGENT,
     COUNTERS,
@@ -23,7 +23,7 @@ from planners.free_flyer.belief.world_memory import (
     REFERENCE_X,
     REFERENCE_Y,
     TIME,
-    make_progress,
+    make_world_memory,
 )
 from planners.free_flyer.closed_loop.world_loop import look_ahead, start_world
 from planners.free_flyer.next_impact.bookkeeping import SETTLE, take_contact
@@ -89,26 +89,26 @@ class Loop:
         hit: bool = True,
     ) -> None:
         scenario = make_scenario(formula)
-        self.options, self.script = options, make_script(scenario, make_plan(scenario, impacts))
-        self.progress, self.program = make_progress(self.script, 3), make_program()
-        start_world(self.script, self.progress, options, K)
-        self.strike, self.clock = self.progress.strike[K, 0], self.progress.clock[K, : len(impacts)]
+        self.options, self.table = options, make_plan_table(scenario, make_plan(scenario, impacts))
+        self.memory, self.program = make_world_memory(self.table, 3), make_program()
+        start_world(self.table, self.memory, options, K)
+        self.strike, self.clock = self.memory.strike[K, 0], self.memory.clock[K, : len(impacts)]
         if hit:
-            self.progress.touch[K] = NOBODY
-            self.progress.touch[K, SNAP] = POP
-            take_contact(self.script, self.progress, K, SNAP, HIT)
+            self.memory.touch[K] = NOBODY
+            self.memory.touch[K, SNAP] = POP
+            take_contact(self.table, self.memory, K, SNAP, HIT)
 
     def count(self, name: str) -> int:
-        return int(self.progress.counts[K, COUNTERS.index(name)])
+        return int(self.memory.counts[K, COUNTERS.index(name)])
 
     def see(self, body: int, position: tuple[float, float], velocity: tuple[float, float] = (0.0, 0.0)) -> None:
         """Let a body's estimate be exact."""
-        self.progress.filter[K, body] = 0.0
-        self.progress.filter[K, body, :4] = *position, *velocity
+        self.memory.filter[K, body] = 0.0
+        self.memory.filter[K, body, :4] = *position, *velocity
 
     def look(self, now: float) -> None:
-        self.progress.time[K] = now
-        look_ahead(self.script, self.progress, self.options, self.program, 0, K, now)
+        self.memory.time[K] = now
+        look_ahead(self.table, self.memory, self.options, self.program, 0, K, now)
 
 
 def fly(loop: Loop, vx: float, vy: float = 0.0, now: float = HIT + SETTLE) -> Loop:
@@ -178,8 +178,8 @@ def test_variants_without_retiming_keep_the_planned_times(variant: str) -> None:
 def test_time_is_left_for_all_later_impacts() -> None:
     loop = Loop()
     last = HORIZON * (1 - RESERVE_SHARE)
-    assert compute_reserve(loop.script, loop.progress, K, 2) == last
-    assert compute_reserve(loop.script, loop.progress, K, 1) == pytest.approx(last - 1.5 / CRUISE)
+    assert compute_reserve(loop.table, loop.memory, K, 2) == last
+    assert compute_reserve(loop.table, loop.memory, K, 1) == pytest.approx(last - 1.5 / CRUISE)
     slow = fly(Loop(options=VARIANTS["with_retiming"]), 0.01)
     assert slow.strike[TIME] <= last - 1.5 / CRUISE + 1e-9
 
@@ -198,7 +198,7 @@ def test_reachable_is_what_a_quintic_within_the_thrust_reaches(seed: int) -> Non
         times = np.linspace(0.0, span, 400)
         motion = [evaluate_course(course, np.array([[0.0, 1.0]]), still, 0, 0, t) for t in times]
         greatest = max(math.hypot(m[4], m[5]) for m in motion)
-        reachable = is_reachable(loop.script, loop.progress, K, SNAP, *place, *speed, span)
+        reachable = is_reachable(loop.table, loop.memory, K, SNAP, *place, *speed, span)
         outcomes.append(reachable)
         if abs(greatest / most - 1) > 0.1:  # the compiled one looks at seven instants only
             assert reachable == (greatest < most), greatest / most
@@ -220,12 +220,12 @@ def test_object_on_its_way_out_is_hit_once_more_from_the_right_side(vy: float, a
     normal = strike[[REFERENCE_X, REFERENCE_Y]]
     assert normal[1] * vy < 0
     place = np.array([1.0, 0.0]) + (strike[TIME] - HIT) * np.array([0.1, vy])
-    robot = loop.progress.filter[K, agent, :2]
+    robot = loop.memory.filter[K, agent, :2]
     assert (place - robot) @ normal / np.linalg.norm(place - robot) > SIDE
-    velocity, gain = np.array([0.1, vy]), compute_pair_gain(loop.progress, K, agent, 0)
+    velocity, gain = np.array([0.1, vy]), compute_pair_gain(loop.memory, K, agent, 0)
     change = math.hypot(*((np.array([3.0, 0.0]) - place) / (loop.clock[1] - strike[TIME]) - velocity))
     minus = velocity + change / gain * normal  # the robot's at the impact
-    assert is_reachable(loop.script, loop.progress, K, agent, *(place - 0.4 * normal), *minus, strike[TIME] - now)
+    assert is_reachable(loop.table, loop.memory, K, agent, *(place - 0.4 * normal), *minus, strike[TIME] - now)
 
 
 @pytest.mark.parametrize(("vy", "inserted"), [(0.03, 0), (0.06, 1)])
@@ -235,7 +235,7 @@ def test_earlier_impact_is_preferred_to_one_more(vy: float, inserted: int) -> No
     assert loop.count("retimed") == 1
     assert loop.count("inserted") == inserted
     assert loop.count("stranded") == 0
-    assert loop.progress.wanted[K] == math.inf
+    assert loop.memory.wanted[K] == math.inf
 
 
 def test_new_plan_is_wanted_where_no_robot_can_hit_the_object_once_more_for_long() -> None:
@@ -244,7 +244,7 @@ def test_new_plan_is_wanted_where_no_robot_can_hit_the_object_once_more_for_long
     for since in np.arange(0.0, LONG_ASTRAY + 2.0, 0.5):
         fly(loop, 0.1, 0.2, now=begin + since)
         assert loop.count("stranded") == (since >= LONG_ASTRAY)
-        assert loop.progress.wanted[K] == (begin + LONG_ASTRAY if since >= LONG_ASTRAY else math.inf)
+        assert loop.memory.wanted[K] == (begin + LONG_ASTRAY if since >= LONG_ASTRAY else math.inf)
     assert loop.count("inserted") == 0
 
 
@@ -275,7 +275,7 @@ def test_robot_that_may_not_stand_there_does_not_hit_once_more() -> None:
 def test_robot_on_its_way_to_another_impact_does_not_hit_once_more() -> None:
     for busy, inserted in ((SNAP, 0), (CRACKLE, 1)):
         loop = Loop(options=FIXED)
-        loop.progress.course[K, busy, IMPACT] = 1.0
+        loop.memory.course[K, busy, IMPACT] = 1.0
         assert fly(loop, 0.1, -0.03).count("inserted") == inserted
 
 
@@ -293,7 +293,7 @@ def test_uncertain_flight_is_given_the_benefit_of_the_doubt() -> None:
     for deviation, inserted in ((0.0, 1), (0.02, 0)):
         loop = Loop(options=FIXED)
         loop.see(POP, (1.15, 0.045), (0.1, 0.03))
-        loop.progress.filter[K, POP, 9] = deviation**2  # of its velocity [m/s]
+        loop.memory.filter[K, POP, 9] = deviation**2  # of its velocity [m/s]
         loop.see(CRACKLE, (2.0, 1.5))
         loop.look(HIT + SETTLE)
         assert loop.count("inserted") == inserted

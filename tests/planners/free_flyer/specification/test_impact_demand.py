@@ -11,7 +11,7 @@ import pytest
 from impact_envs import load_scenario
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
-from planners.free_flyer.belief.plan_table import CLOSE, DEPTH, FACES, OPEN, make_script
+from planners.free_flyer.belief.plan_table import CLOSE, DEPTH, FACES, OPEN, make_plan_table
 from planners.free_flyer.specification.impact_demand import Knot, find_knots, find_own_faces
 from planners.plan import Plan, PlannedImpact
 
@@ -220,25 +220,25 @@ def test_script_knows_how_deep_the_plan_lies(
     name: str, places: list[tuple[float, float, float]], depths: list[float]
 ) -> None:
     scenario = load(name)
-    script, knots = make_script(scenario, lay_plan(scenario, places)), knots_of(scenario, places)
-    np.testing.assert_allclose(script.knot[:, DEPTH], depths, atol=1e-12)
-    assert [tuple(row) for row in script.knot[:, [OPEN, CLOSE]]] == [knot.window for knot in knots]
+    table, knots = make_plan_table(scenario, lay_plan(scenario, places)), knots_of(scenario, places)
+    np.testing.assert_allclose(table.knot[:, DEPTH], depths, atol=1e-12)
+    assert [tuple(row) for row in table.knot[:, [OPEN, CLOSE]]] == [knot.window for knot in knots]
     for i, knot in enumerate(knots):
-        assert script.knot[i, FACES] == len(knot.faces)
-        np.testing.assert_array_equal(script.face[i, : len(knot.faces)].reshape(-1, 3), np.reshape(knot.faces, (-1, 3)))
+        assert table.knot[i, FACES] == len(knot.faces)
+        np.testing.assert_array_equal(table.face[i, : len(knot.faces)].reshape(-1, 3), np.reshape(knot.faces, (-1, 3)))
 
 
 def test_script_measures_in_metres_whatever_the_formula_multiplies_by() -> None:
     scenario = load("pong", "G[0,100] 3 * pop.x + 4 * pop.y <= 30")
-    script = make_script(scenario, lay_plan(scenario, PONG))
-    np.testing.assert_allclose(script.face[0, 0], [0.6, 0.8, 6])
-    assert script.knot[0, DEPTH] == pytest.approx(6 - 0.6 * 1.25 + 0.8 * 0.75)
+    table = make_plan_table(scenario, lay_plan(scenario, PONG))
+    np.testing.assert_allclose(table.face[0, 0], [0.6, 0.8, 6])
+    assert table.knot[0, DEPTH] == pytest.approx(6 - 0.6 * 1.25 + 0.8 * 0.75)
 
 
 def test_script_keeps_robots_off_the_walls_of_the_world() -> None:
     scenario = load("throw_and_catch")
-    script = make_script(scenario, lay_plan(scenario, [(9, 0.5, 1.5), (30, 0.5, 2.25)]))
+    table = make_plan_table(scenario, lay_plan(scenario, [(9, 0.5, 1.5), (30, 0.5, 2.25)]))
     # The world is [-1, 2] x [-0.75, 4.5]; touching with a radius of 0.2 m counts as 0.1 m inside.
     walls = {(-1, 0, 0.9), (0, -1, 0.65), (1, 0, 1.9), (0, 1, 4.4)}
-    for table in script.own:
-        assert {tuple(float(value) for value in np.round(row, 12) + 0.0) for row in table} == walls
+    for faces in table.own:
+        assert {tuple(float(value) for value in np.round(row, 12) + 0.0) for row in faces} == walls

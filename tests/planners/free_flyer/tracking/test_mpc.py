@@ -222,10 +222,10 @@ def catch() -> list[tuple[float, np.ndarray, Workspace]]:
     expert.reset(0)
     while not env.impacts or env.time < 15.0:
         observations, *_ = env.step(expert.act(observations))
-        strike = expert.progress.strike[0, 0].copy()
+        strike = expert.memory.strike[0, 0].copy()
         # What is left in the workspace is of the last robot, which catches.
         workspace = Workspace(*(array.copy() for array in expert.workspace))
-        ahead = strike[TIME] - expert.progress.time[0] if strike[AGENT] == 1 else math.inf
+        ahead = strike[TIME] - expert.memory.time[0] if strike[AGENT] == 1 else math.inf
         seen.append((ahead, strike, workspace))
     return seen
 
