@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,6 +11,7 @@ from gymnasium.spaces import Box
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
+from impact_envs.domain import find_part
 from impact_envs.physics.impact import Impact
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.shape import Shape
@@ -19,21 +19,6 @@ from impact_envs.stl import Monitor
 
 # A full-thrust step of every actuator costs this much robustness per control period.
 EFFORT_WEIGHT = 1e-4  # [m]
-# The world of each domain: module and maker of its model and its task.
-DOMAINS = {
-    "dual_arm": (
-        ("impact_envs.dual_arm.model", "DualArmModel"),
-        ("impact_envs.dual_arm.task", "DualArmTask"),
-    ),
-    "floating_manipulator": (
-        ("impact_envs.floating_manipulator.model", "FloatingManipulatorModel"),
-        ("impact_envs.floating_manipulator.task", "FloatingManipulatorTask"),
-    ),
-    "free_flyer": (
-        ("impact_envs.free_flyer.disc_model", "make_model"),
-        ("impact_envs.free_flyer.task", "FreeFlyerTask"),
-    ),
-}
 
 
 class Model(Protocol):
@@ -297,5 +282,5 @@ def parallel_env(
         ScenarioError: the scenario cannot be read.
     """
     loaded = load_scenario(scenario)
-    model, task = (getattr(importlib.import_module(m), name) for m, name in DOMAINS[loaded.domain])
-    return ImpactEnv(model(loaded), task(loaded), render_mode, max_cycles)
+    make_model, make_task = (find_part("impact_envs", loaded.domain, name) for name in ("MODEL", "TASK"))
+    return ImpactEnv(make_model(loaded), make_task(loaded), render_mode, max_cycles)

@@ -6,7 +6,6 @@ domain live in ``impact_envs/<domain>/schema.py``.
 
 from __future__ import annotations
 
-import importlib
 import math
 import re
 import tomllib
@@ -18,15 +17,9 @@ from typing import Annotated, Any, ClassVar, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from impact_envs.domain import find_part, find_scenarios, list_domains
 from impact_envs.errors import InputError, ScenarioError, choices
 from impact_envs.stl import RESERVED, SIGNALS, Formula, parse
-
-PACKAGE = Path(__file__).parent
-DOMAINS = {
-    "dual_arm": ("impact_envs.dual_arm.schema", "DualArmScenario"),
-    "floating_manipulator": ("impact_envs.floating_manipulator.schema", "FloatingManipulatorScenario"),
-    "free_flyer": ("impact_envs.free_flyer.schema", "FreeFlyerScenario"),
-}
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -273,7 +266,7 @@ class Scenario(Table):
 
 def list_scenarios() -> tuple[str, ...]:
     """Return the names of the shipped scenarios, sorted."""
-    return tuple(sorted(path.stem for path in PACKAGE.glob("*/scenarios/*.toml")))
+    return tuple(sorted(path.stem for path in find_scenarios()))
 
 
 def load_scenario(source: str | Path | Scenario) -> Scenario:
@@ -290,7 +283,7 @@ def load_scenario(source: str | Path | Scenario) -> Scenario:
     """
     if isinstance(source, Scenario):
         return source
-    shipped = {path.stem: path for path in PACKAGE.glob("*/scenarios/*.toml")}
+    shipped = {path.stem: path for path in find_scenarios()}
     path = shipped.get(str(source), Path(source))
     if not path.is_file():
         if path.suffix == ".toml" or len(path.parts) > 1:
@@ -317,11 +310,11 @@ def build_scenario(data: dict[str, Any], source: str) -> Any:
         ScenarioError: one line naming source, key, value and the choices.
     """
     domain = data.get("domain")
-    if domain not in DOMAINS:
+    known = list_domains()
+    if domain not in known:
         wrong = "is missing" if domain is None else f"'{domain}' is unknown"
-        raise ScenarioError(f"{source}: domain {wrong}; {choices(str(domain), DOMAINS)}")
-    module, name = DOMAINS[domain]
-    schema = getattr(importlib.import_module(module), name)
+        raise ScenarioError(f"{source}: domain {wrong}; {choices(str(domain), known)}")
+    schema = find_part("impact_envs", domain, "SCHEMA")
     try:
         return schema.model_validate(data)
     except ValidationError as error:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from importlib import import_module
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from impact_envs.domain import find_part, list_domains, load_attribute
 from impact_envs.errors import InputError, choices
 from impact_envs.scenario import Scenario, load_scenario
 from planners.errors import Infeasible, PlanningError, SolverFailed
+from planners.options import list_options as flatten
+from planners.options import replace_options
 
 if TYPE_CHECKING:
     from planners.plan import Plan
@@ -19,38 +22,12 @@ __all__ = [
     "SolverFailed",
     "check_planned",
     "has_planner",
+    "list_options",
     "list_variants",
     "make_expert",
     "make_expert_batch",
     "make_plan",
 ]
-
-# Planners by objective and expert of each domain, loaded with their solvers when first used.
-PLANNERS = {
-    "free_flyer": {
-        "robustness": ("planners.free_flyer.nominal.planner", "make_free_flyer_plan"),
-        "impact_uncertainty": ("planners.free_flyer.robust.planner", "make_impact_robust_plan"),
-    }
-}
-EXPERTS = {
-    "dual_arm": ("planners.dual_arm.expert", "make_dual_arm_expert"),
-    "floating_manipulator": ("planners.floating_manipulator.expert", "make_floating_manipulator_expert"),
-    "free_flyer": ("planners.free_flyer.expert", "FreeFlyerExpert"),
-}
-# Experts' published forms and baselines, by the names they go by as policies.
-VARIANTS = {
-    "dual_arm": ("published", "no_impact_map", "no_interim_phase", "no_synchronisation"),
-    "floating_manipulator": ("published", "printed", "measured_base"),
-    "free_flyer": (
-        "one_replan",
-        "paper_expert",
-        "with_learning",
-        "with_retiming",
-        "with_drift",
-        "with_insertion",
-        "with_reoptimisation",
-    ),
-}
 
 
 def make_plan(scenario: str | Path | Scenario, objective: str = "robustness", **options: Any) -> Plan:
@@ -71,37 +48,40 @@ def make_plan(scenario: str | Path | Scenario, objective: str = "robustness", **
     """
     loaded = load_scenario(scenario)
     check_planned(loaded)
-    objectives = PLANNERS[loaded.domain]
+    objectives = find_part("planners", loaded.domain, "PLANNERS")
     if objective not in objectives:
         raise InputError(f"objective '{objective}' is unknown; {choices(objective, objectives)}")
-    module, name = objectives[objective]
-    return getattr(import_module(module), name)(loaded.as_believed(), **options)
+    return load_attribute(objectives[objective])(loaded.as_believed(), **options)
 
 
-def make_expert(scenario: str | Path | Scenario, plan: Plan | None = None, variant: str | None = None) -> Any:
+def make_expert(
+    scenario: str | Path | Scenario,
+    plan: Plan | None = None,
+    variant: str | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Any:
     """Make the expert policy of a scenario; it never sees the true physics.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario.
-        plan: to execute; planned now without one, where the domain has a planner.
-        variant: a published form or baseline to compare the expert with, see list_variants.
+        plan: to execute; by default planned now, where the domain has a planner.
+        variant: a published form or baseline to compare the expert with, see list_variants; default: the expert.
+        options: dotted name to value, see list_options, for example ``{"retiming.frozen": 3.0}``.
 
     Returns:
         A Policy that also takes corrections (see agents.residual), where the variant does.
 
     Raises:
-        InputError, PlanningError: as make_plan; InputError also when the plan is another scenario's, or the variant is
-            unknown.
+        InputError, PlanningError: as make_plan; InputError also when the plan is another scenario's, or the variant or
+            an option is unknown.
     """
     loaded = load_scenario(scenario)
-    module, name = EXPERTS[loaded.domain]
-    variants = list_variants(loaded)
-    if variant is not None and variant not in variants:
-        raise InputError(f"domain '{loaded.domain}' has no variant '{variant}'; {choices(variant, variants)}")
+    arguments = _choose(loaded, variant, options)
+    make = find_part("planners", loaded.domain, "EXPERT")
     if not has_planner(loaded):
         if plan is not None:
             check_planned(loaded)
-        return getattr(import_module(module), name)(loaded.as_believed(), variant)
+        return make(loaded.as_believed(), **arguments)
     if plan is None:
         plan = make_plan(loaded)
     elif set(plan.robots) != set(loaded.agents):
@@ -109,7 +89,7 @@ def make_expert(scenario: str | Path | Scenario, plan: Plan | None = None, varia
             f"the plan is for {plan.scenario} with {', '.join(plan.robots)}; "
             f"scenario {loaded.name} has {', '.join(loaded.agents)}"
         )
-    return getattr(import_module(module), name)(loaded.as_believed(), plan, variant)
+    return make(loaded.as_believed(), plan, **arguments)
 
 
 def make_expert_batch(
@@ -117,6 +97,7 @@ def make_expert_batch(
     count: int,
     plan: Plan | None = None,
     variant: str | None = None,
+    options: Mapping[str, Any] | None = None,
     threads: int = 1,
 ) -> Any:
     """Make the experts of the worlds of a vector environment: ``actions = experts.act(observations)``.
@@ -124,8 +105,9 @@ def make_expert_batch(
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario; of discs.
         count: how many worlds.
-        plan: to execute; planned now without one.
+        plan: to execute; by default planned now.
         variant: what the expert is compared with, see list_variants.
+        options: as make_expert.
         threads: that share the worlds.
 
     Returns:
@@ -134,22 +116,42 @@ def make_expert_batch(
     Raises:
         InputError, PlanningError: as make_expert; InputError also for a domain whose expert knows one world only.
     """
-    loaded: Any = load_scenario(scenario)
-    check_planned(loaded)
-    from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
-
+    loaded = load_scenario(scenario)
+    make = find_part("planners", loaded.domain, "EXPERT_BATCH")
+    if make is None:
+        raise InputError(f"scenario '{loaded.name}': the expert of domain '{loaded.domain}' knows one world only")
+    arguments = _choose(loaded, variant, options)
     chosen = make_plan(loaded) if plan is None else plan
-    return FreeFlyerExpertBatch(loaded.as_believed(), chosen, count, variant, threads=threads)
+    return make(loaded.as_believed(), chosen, count, **arguments, threads=threads)
+
+
+def _choose(scenario: Scenario, variant: str | None, options: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return variant and options as the expert's maker takes them."""
+    variants = list_variants(scenario)
+    if variant is not None and variant not in variants:
+        raise InputError(f"domain '{scenario.domain}' has no variant '{variant}'; {choices(variant, variants)}")
+    if not options:
+        return {"variant": variant}
+    get_options = find_part("planners", scenario.domain, "OPTIONS")
+    if get_options is None:
+        raise InputError(f"the expert of domain '{scenario.domain}' has no options, got {', '.join(options)}")
+    return {"variant": variant, "options": replace_options(get_options(variant), options)}
+
+
+def list_options(scenario: Scenario, variant: str | None = None) -> dict[str, Any]:
+    """Return the options of a scenario's expert by dotted names, with their values."""
+    get_options = find_part("planners", scenario.domain, "OPTIONS")
+    return flatten(get_options(variant)) if get_options else {}
 
 
 def list_variants(scenario: Scenario) -> tuple[str, ...]:
     """Return the published forms and baselines of a scenario's expert."""
-    return VARIANTS.get(scenario.domain, ())
+    return tuple(find_part("planners", scenario.domain, "VARIANTS") or ())
 
 
 def has_planner(scenario: Scenario) -> bool:
     """Return whether a scenario's expert executes a plan made beforehand."""
-    return scenario.domain in PLANNERS
+    return find_part("planners", scenario.domain, "PLANNERS") is not None
 
 
 def check_planned(scenario: Scenario) -> None:
@@ -159,7 +161,8 @@ def check_planned(scenario: Scenario) -> None:
         InputError: its domain has no planner.
     """
     if not has_planner(scenario):
+        planned = [name for name in list_domains() if find_part("planners", name, "PLANNERS")]
         raise InputError(
             f"scenario '{scenario.name}' has domain '{scenario.domain}', whose expert follows no plan; "
-            f"domains with a planner: {', '.join(PLANNERS)}"
+            f"domains with a planner: {', '.join(planned)}"
         )

@@ -1,1 +1,5 @@
 """Two arms that grasp a box by hitting it from both sides at once."""
+
+SCHEMA = "impact_envs.dual_arm.schema:DualArmScenario"
+MODEL = "impact_envs.dual_arm.model:DualArmModel"
+TASK = "impact_envs.dual_arm.task:DualArmTask"

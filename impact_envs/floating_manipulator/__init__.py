@@ -1,1 +1,5 @@
 """A floating manipulator that hits a floating box (Nekoo, Sharf & Ollero)."""
+
+SCHEMA = "impact_envs.floating_manipulator.schema:FloatingManipulatorScenario"
+MODEL = "impact_envs.floating_manipulator.model:FloatingManipulatorModel"
+TASK = "impact_envs.floating_manipulator.task:FloatingManipulatorTask"

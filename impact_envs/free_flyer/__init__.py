@@ -1,1 +1,5 @@
 """Free-flyers that move passive objects by impacts (Verhagen & Tumova)."""
+
+SCHEMA = "impact_envs.free_flyer.schema:FreeFlyerScenario"
+MODEL = "impact_envs.free_flyer.disc_model:make_model"
+TASK = "impact_envs.free_flyer.task:FreeFlyerTask"

@@ -1,1 +1,11 @@
 """Free-flyers: plans by mixed-integer programming, their execution by replanning and tracking."""
+
+# By objective.
+PLANNERS = {
+    "robustness": "planners.free_flyer.nominal.planner:make_free_flyer_plan",
+    "impact_uncertainty": "planners.free_flyer.robust.planner:make_impact_robust_plan",
+}
+EXPERT = "planners.free_flyer.expert:FreeFlyerExpert"
+EXPERT_BATCH = "planners.free_flyer.expert_batch:FreeFlyerExpertBatch"
+OPTIONS = "planners.free_flyer.belief.options:get_options"
+VARIANTS = "planners.free_flyer.belief.options:VARIANTS"

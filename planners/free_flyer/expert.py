@@ -10,13 +10,13 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from impact_envs.compiled import announce
-from impact_envs.errors import InputError, choices
+from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, observed_order
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.rollout import Diagnostics
 from planners.free_flyer.belief.estimator import extrapolate
 from planners.free_flyer.belief.impact_parameters import NOW, compute_gain_spread, compute_pair_gain, find_row, get_pair
-from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options
+from planners.free_flyer.belief.options import Options, get_options
 from planners.free_flyer.belief.plan_table import END, MASS, PLACE_X, PLACE_Y, ROBOT, make_plan_table
 from planners.free_flyer.belief.world_memory import (
     AGENT,
@@ -76,19 +76,6 @@ def check_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:
         )
     if not math.isclose(plan.horizon, scenario.horizon):
         raise InputError(f"the plan lasts {plan.horizon:g} s, scenario {scenario.name} lasts {scenario.horizon:g} s")
-
-
-def get_options(variant: str | None) -> Options:
-    """Return the parts of the closed loop that a variant has; all of them without one.
-
-    Raises:
-        InputError: unknown variant.
-    """
-    if variant is None:
-        return EXPERT
-    if variant not in VARIANTS:
-        raise InputError(f"variant '{variant}' is unknown; {choices(variant, VARIANTS)}")
-    return VARIANTS[variant]
 
 
 class FreeFlyerExpert:

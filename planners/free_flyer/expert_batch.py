@@ -11,12 +11,12 @@ from impact_envs.compiled import announce
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners.free_flyer.belief.options import Options
+from planners.free_flyer.belief.options import Options, get_options
 from planners.free_flyer.belief.plan_table import END, PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
 from planners.free_flyer.closed_loop.world_loop import ACT, ADOPT, run_experts
-from planners.free_flyer.expert import check_plan, get_options
+from planners.free_flyer.expert import check_plan
 from planners.free_flyer.next_impact.reoptimisation import make_program
 from planners.free_flyer.tracking.mpc import make_workspace
 from planners.plan import Plan

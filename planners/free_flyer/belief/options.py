@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from impact_envs.errors import InputError, choices
+
 
 class Options(NamedTuple):
     """Parts of the closed loop.
@@ -43,3 +45,16 @@ VARIANTS = {
     "with_insertion": EXPERT._replace(reoptimise=False, plan_anew=False),
     "with_reoptimisation": EXPERT._replace(plan_anew=False),
 }
+
+
+def get_options(variant: str | None) -> Options:
+    """Return the parts of the closed loop that a variant has; all of them without one.
+
+    Raises:
+        InputError: unknown variant.
+    """
+    if variant is None:
+        return EXPERT
+    if variant not in VARIANTS:
+        raise InputError(f"variant '{variant}' is unknown; {choices(variant, VARIANTS)}")
+    return VARIANTS[variant]
