@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from impact_envs import list_scenarios, load_scenario
+from impact_envs.domain import find_scenarios
 from impact_envs.errors import ScenarioError
-from impact_envs.scenario import PACKAGE
 
-CORRIDOR = (PACKAGE / "free_flyer/scenarios/corridor.toml").read_text()
+CORRIDOR = next(path for path in find_scenarios() if path.stem == "corridor").read_text()
 
 
 def write(tmp_path, text):

@@ -7,12 +7,12 @@ from functools import cache
 
 import pytest
 
+import impact_envs
 from impact_envs.errors import InputError
-from impact_envs.scenario import PACKAGE
 from planners import make_plan
 from train.cli import main
 
-FOLDER = PACKAGE / "floating_manipulator/scenarios"
+FOLDER = Path(impact_envs.__file__).parent / "floating_manipulator/scenarios"
 
 
 @cache
