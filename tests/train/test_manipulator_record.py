@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 from functools import cache
+from pathlib import Path
 
 import pytest
 
