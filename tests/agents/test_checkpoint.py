@@ -22,9 +22,9 @@ from agents.actor import Actor, PolicyRecord, load_policy, save_policy
 from agents.checkpoint import write_atomically
 from agents.sb3 import Model, export_actor, load_training, save_training, start_at_expert
 from impact_envs import InputError
-from planners import make_plan
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.plan import Plan
+from tests.frozen.freeze import get_plan
 
 SIZES = (5, 2)
 
@@ -87,7 +87,7 @@ def checkpoint(tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    return make_plan("throw_and_catch")
+    return get_plan("throw_and_catch", "nominal")
 
 
 @pytest.mark.parametrize("squash", ["clip", "tanh"])

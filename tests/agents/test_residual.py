@@ -14,8 +14,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from agents import ResidualEnv, ResidualPolicy
 from impact_envs import InputError, Scenario, gym_id, list_scenarios, load_scenario, parallel_env, rollout
 from impact_envs.rollout import Diagnostics, Episode, ZeroPolicy
-from planners import make_expert, make_plan
+from planners import make_expert
 from planners.plan import Plan
+from tests.frozen.freeze import get_plan
 from train.residual import DecidedEnds
 
 
@@ -72,7 +73,7 @@ def short(scenario: Scenario) -> Scenario:
 
 @pytest.fixture(scope="module")
 def plan(scenario: Scenario) -> Plan:
-    return make_plan(scenario)
+    return get_plan(scenario.name, "nominal")
 
 
 def make_pusher_env(short: Scenario, every: int | None, **options: Any) -> ResidualEnv:
@@ -240,19 +241,11 @@ def test_unknown_suite_and_scenario_are_named(short: Scenario) -> None:
 
 
 ONCE_PER_IMPACT = {"free_flyer"}  # domains whose experts ask for a correction of every impact
-LONG_TO_PLAN = {"obstacle_avoidance", "pingpong"}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(n, marks=[pytest.mark.slow] if n in LONG_TO_PLAN else [])
-        for n in list_scenarios()
-        if load_scenario(n).domain in ONCE_PER_IMPACT
-    ],
-)
+@pytest.mark.parametrize("name", [n for n in list_scenarios() if load_scenario(n).domain in ONCE_PER_IMPACT])
 def test_every_scenario_has_a_residual_twin_that_starts_at_its_expert(name: str) -> None:
-    env = gymnasium.make(gym_id(name, residual=True)).unwrapped
+    env = gymnasium.make(gym_id(name, residual=True), plan=get_plan(name, "nominal")).unwrapped
     assert isinstance(env, ResidualEnv)
     env.reset(seed=1_000_000)
     truncated, decisions = False, 0

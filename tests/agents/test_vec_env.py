@@ -15,6 +15,7 @@ from impact_envs.errors import InputError
 SCENARIO = load_scenario("throw_and_catch").suite("all")
 WORLDS, CYCLES, STEPS, SEED = 3, 7, 24, 5
 ROBOTS = SCENARIO.agents
+FLOAT32 = pytest.mark.slow  # compiled apart from float64: half a minute
 
 
 @pytest.fixture(autouse=True)
@@ -148,9 +149,15 @@ def test_sac_stores_the_last_observation_and_no_termination():
     assert np.all(buffer.observations[CYCLES, :, -3] == 0.0)
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-@pytest.mark.parametrize("per_robot", [False, True])
-@pytest.mark.parametrize("algorithm", [PPO, SAC])
+@pytest.mark.parametrize(
+    ("algorithm", "per_robot", "dtype"),
+    [
+        (PPO, False, "float64"),
+        (SAC, True, "float64"),
+        pytest.param(PPO, True, "float32", marks=FLOAT32),
+        pytest.param(SAC, False, "float32", marks=FLOAT32),
+    ],
+)
 def test_learners_train_predict_and_come_back_from_disk(algorithm, per_robot, dtype, tmp_path):
     envs = VecNormalize(make_envs(8, per_robot, dtype, cycles=20))
     short = {"n_steps": 16, "batch_size": 64} if algorithm is PPO else {"learning_starts": 100, "buffer_size": 2000}
@@ -247,6 +254,7 @@ def test_arrays_are_fresh_at_every_step():
     assert all(np.array_equal(array, copy) for array, copy in zip(kept, copies, strict=True))
 
 
+@FLOAT32
 def test_float32_follows_float64():
     double, single = make_envs(cycles=100), make_envs(cycles=100, dtype="float32")
     assert single.observation_space.dtype == np.float32

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from impact_envs import load_scenario
-from impact_envs.errors import InputError
-from planners import make_plan
+from tests.frozen.freeze import get_plan
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 LOOPS = ["batch, LQR", "batch, MPC", "one world, MPC", "one world, published MPC by ipopt"]
@@ -67,7 +66,7 @@ def test_a_small_run_writes_everything(
 def test_published_mpc_hits_as_ours_does(methods: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Half a second after the first impact, at 9.7 s, all bodies are where our tracker brings them."""
     scenario, envs, make = load_scenario("throw_and_catch"), list[Any](), methods.parallel_env
-    plan = make_plan(scenario)
+    plan = get_plan(scenario.name, "nominal")
     monkeypatch.setattr(methods, "parallel_env", lambda scenario: envs.append(make(scenario)) or envs[-1])
     for loop, steps in ((methods.make_published(scenario, plan), 20), (methods.make_single(scenario, plan), 102)):
         assert loop.run(steps) > 0.0
@@ -76,38 +75,3 @@ def test_published_mpc_hits_as_ours_does(methods: Any, monkeypatch: pytest.Monke
     assert np.hypot(*ours[2, 2:4]) > 0.05  # it was hit
     np.testing.assert_allclose(published[:, :2], ours[:, :2], atol=0.02)
     np.testing.assert_allclose(published[2, 2:4], ours[2, 2:4], atol=0.01)
-
-
-def test_interrupted_run_prints_what_is_measured(
-    benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupt(*_: Any, **__: Any) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(benchmark, "make_batch", interrupt)
-    record = benchmark.main(benchmark.Args(repeats=1))
-    assert record["rows"] == record["checks"] == []
-    assert "stopped after 0 measurements" in capsys.readouterr().err
-
-
-def test_checks_compare_with_what_is_asked(benchmark: ModuleType) -> None:
-    found = benchmark.Findings()
-    for name, batch, seconds in zip(LOOPS, (1000, 1000, 1, 1), (1.0, 5.0, 0.01, 2.5), strict=True):
-        found.runs.append(benchmark.Run(name, batch, 50, seconds, seconds))
-        found.acts[name] = [2e-3]
-    rows = benchmark.make_rows(found)
-    assert [row["env-steps/s"] for row in rows] == [50000.0, 10000.0, 5000.0, 20.0]
-    met = {check["what"]: check["met"] for check in benchmark.make_checks(rows, [])}
-    assert met == {
-        "batch, LQR: env-steps/s": False,
-        "batch, MPC: env-steps/s": True,
-        "batch, MPC / one world, published MPC by ipopt": True,
-        "p99 of act per robot [us]": False,
-    }
-
-
-def test_bad_arguments_are_refused(benchmark: ModuleType) -> None:
-    with pytest.raises(InputError, match="must be positive"):
-        benchmark.main(benchmark.Args(repeats=0))
-    with pytest.raises(InputError, match="dual_arm_grasp: domain dual_arm has no such loop; choices: free_flyer"):
-        benchmark.main(benchmark.Args(scenario="dual_arm_grasp"))

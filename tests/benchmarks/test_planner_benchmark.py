@@ -3,11 +3,8 @@ import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import pytest
-
-from impact_envs.errors import InputError
 
 SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "planner.py"
 
@@ -39,48 +36,3 @@ def test_one_round_gives_a_row(benchmark: ModuleType, tmp_path: Path, capsys: py
     assert f"| {' | '.join(row.values())} |" in printed
     record = json.loads(out.read_text())
     assert {run["method"] for run in record["runs"]} >= {"ours", "ours, e = 1", "Bezier first", "Bezier", "memory"}
-
-
-def test_a_peer_out_of_time_gives_a_lower_bound(benchmark: ModuleType) -> None:
-    runs = [
-        benchmark.Run("pong", "ours, e = 1", 0.4),
-        benchmark.Run("pong", "ours, e = 1", 0.5),
-        benchmark.Run("pong", "ours, e = 1", 9.0),
-        benchmark.Run("pong", "MIQP scip", 60.0, benchmark.LATE, facts={"gap": 0.05}),
-    ]
-    (row,) = benchmark.make_rows(runs)
-    assert row["ours, e = 1 [s]"] == "0.5"
-    assert row["MIQP, SCIP [s]"] == "> 60 (gap 5.0%)"
-    assert row["ratio, SCIP"] == "> 120"
-
-
-def test_ctrl_c_keeps_what_is_measured(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = []
-
-    def interrupt(*_: Any, **options: Any) -> dict[str, Any]:
-        calls.append(options)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        return {"seconds": 0.25}
-
-    monkeypatch.setattr(benchmark, "plan_bezier", interrupt)
-    rows = benchmark.main(benchmark.Args(scenarios=("throw_and_catch",), memory=False, miqp_repeats=0))
-    assert len(calls) == 2
-    assert [row["Bezier first / optimal [s]"] for row in rows] == ["0.25 / -"]
-    assert float(rows[0]["ours [s]"]) > 0.0
-
-
-def test_a_failure_is_a_cell_and_a_line(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: Any, **__: Any) -> None:
-        raise InputError("no such form")
-
-    monkeypatch.setattr(benchmark, "make_plan", refuse)
-    run = benchmark.measure(benchmark.Job("pong", "ours", lambda: benchmark.plan_ours(None)), 60.0)
-    assert run.status == "pong, ours: no such form"
-    (row,) = benchmark.make_rows([run])
-    assert row["ours [s]"] == "failed"
-
-
-def test_bad_arguments_are_refused(benchmark: ModuleType) -> None:
-    with pytest.raises(InputError, match="repeats 0"):
-        benchmark.main(benchmark.Args(repeats=0))

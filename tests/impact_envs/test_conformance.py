@@ -1,4 +1,4 @@
-"""The contract battery: every registered scenario passes the suites of Gymnasium, PettingZoo and SB3."""
+"""The contract battery: every domain passes the suites of Gymnasium, PettingZoo and SB3; every id is played."""
 
 import pickle
 import types
@@ -19,10 +19,11 @@ from pettingzoo.test import (
 )
 from pettingzoo.utils.conversions import parallel_to_aec
 
-import impact_envs
-from impact_envs import gym_id, list_scenarios, parallel_env
+from impact_envs import gym_id, list_scenarios, load_scenario, parallel_env
 
 SCENARIOS = list_scenarios()
+# One scenario of each domain, and one of seven bodies.
+VARIED = ("throw_and_catch", "crew", "floating_manipulator_thrusters", "dual_arm_grasp")
 CYCLES = 60
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -45,7 +46,7 @@ def module(name):
     return types.SimpleNamespace(parallel_env=parallel, env=env)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", VARIED)
 def test_pettingzoo_battery(name):
     made = module(name)
     parallel_api_test(made.parallel_env(), num_cycles=CYCLES)
@@ -56,7 +57,7 @@ def test_pettingzoo_battery(name):
     state_test(made.env(), made.parallel_env())
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", VARIED)
 def test_gymnasium_and_sb3_checkers(name):
     from stable_baselines3.common.env_checker import check_env as sb3_check
 
@@ -69,7 +70,7 @@ def test_gymnasium_and_sb3_checkers(name):
     env.close()
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", VARIED)
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_vector_envs_in_every_autoreset_mode(name, mode):
     limit = 3
@@ -121,9 +122,9 @@ def record(env, rng, steps):
     return np.array(trace)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", VARIED)
 def test_same_seed_same_episode_bit_for_bit(name):
-    scenario = impact_envs.load_scenario(name).suite("all")
+    scenario = load_scenario(name).suite("all")
     runs = []
     for _ in range(2):
         env = parallel_env(scenario)
@@ -136,13 +137,28 @@ def test_same_seed_same_episode_bit_for_bit(name):
     assert not np.array_equal(record(env, np.random.default_rng(0), 40), runs[0][:40])
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", VARIED)
 def test_pickled_in_flight_it_goes_on_the_same(name):
     env = parallel_env(name)
     env.reset(seed=3)
     record(env, np.random.default_rng(0), 20)
     twin = pickle.loads(pickle.dumps(env))
     assert np.array_equal(record(env, np.random.default_rng(1), 20), record(twin, np.random.default_rng(1), 20))
+
+
+def test_a_scenario_of_every_domain_is_checked():
+    assert {load_scenario(name).domain for name in VARIED} == {load_scenario(name).domain for name in SCENARIOS}
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_id_gives_observations_in_its_space(name):
+    env = gymnasium.make(gym_id(name), max_cycles=4)
+    observation, _ = env.reset(seed=0)
+    assert observation in env.observation_space
+    observation, reward, *_ = env.step(np.zeros(env.action_space.shape, np.float32))
+    assert observation in env.observation_space
+    assert np.isfinite(reward)
+    env.close()
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

@@ -1,4 +1,3 @@
-import subprocess
 import sys
 
 import imageio.v3 as iio
@@ -50,7 +49,7 @@ def test_picture_is_a_fresh_array_of_the_asked_size():
     assert np.array_equal(renderer.draw(frame), second)
 
 
-@pytest.mark.parametrize("size", [SIZE, (900, 500), None])
+@pytest.mark.parametrize("size", [SIZE, None])
 def test_both_axes_have_one_scale_and_y_points_up(size):
     color = ORANGE
     width, height = _extent(_draw([PUCK], size), color)
@@ -61,12 +60,6 @@ def test_both_axes_have_one_scale_and_y_points_up(size):
     assert right[0] == pytest.approx(-up[1], abs=0.3) and right[0] > 20
     assert (right[1], up[0]) == pytest.approx((0, 0), abs=0.3)
     assert width == pytest.approx(0.6 * right[0], abs=4)  # a disc of radius 0.3 m is 0.6 m wide
-
-
-def test_whole_world_is_inside_the_picture():
-    corners = [(x, y) for x in (LOWER[0] + 0.3, UPPER[0] - 0.3) for y in (LOWER[1] + 0.3, UPPER[1] - 0.3)]
-    areas = [len(_find(_draw([PUCK], poses={"pop": (x, y, 0.0)}), ORANGE)[0]) for x, y in [*corners, (1, 5)]]
-    assert max(areas) - min(areas) < 0.02 * max(areas)
 
 
 def test_polygon_turns_with_its_body():
@@ -91,28 +84,6 @@ def test_heading_mark_points_along_the_heading():
         assert mark / np.linalg.norm(mark) == pytest.approx((np.cos(heading), -np.sin(heading)), abs=0.12)
 
 
-def test_impact_shrinks_with_age_and_old_ones_go():
-    fresh, old = (len(_find(_draw([], impacts=[(1.0, 5.0, age)]), drawing.IMPACT, 150)[0]) for age in (0.0, 9.0))
-    assert fresh > 2 * old > 20
-    many = [(1.0, 9.0 - 0.5 * k, 5.0) for k in range(17)]
-    rows, _ = _find(_draw([], impacts=many), drawing.IMPACT, 150)
-    last_dozen, _ = _find(_draw([], impacts=many[-12:]), drawing.IMPACT, 150)
-    assert np.array_equal(rows, last_dozen)
-
-
-def test_trail_is_solid_and_plan_is_dashed():
-    line = {"pop": np.array([[1.0, 1.0], [1.0, 5.0]])}
-    share = {}
-    for kind in ("trails", "plans"):
-        image = _draw([PUCK], poses={"pop": (1.0, 8.0, 0.0)}, **{kind: line})
-        column = round(_center(image, ORANGE)[0])
-        ends = [_center(_draw([PUCK], poses={"pop": (1.0, y, 0.0)}), ORANGE)[1] for y in (5, 1)]
-        strip = image[round(ends[0]) : round(ends[1]), column].astype(float)
-        share[kind] = np.mean(strip[:, 2] < 200)  # orange has little blue, the ground has much
-    assert share["trails"] == 1.0
-    assert 0.4 < share["plans"] < 0.8
-
-
 @pytest.mark.parametrize("points", [np.zeros((0, 2)), np.ones((1, 2)), np.ones((5, 2))])
 def test_curves_without_length_draw_nothing_far(points):
     image = _draw([PUCK], trails={"pop": points}, plans={"pop": points}, poses={"pop": (1.0, 1.0, 0.0)})
@@ -127,12 +98,6 @@ def test_header_shows_the_verdict(bounds, color):
     header = _draw([], robustness=bounds)[:66, SIZE[0] // 2 :]
     for other in (drawing.SATISFIED, drawing.VIOLATED, drawing.UNDECIDED):
         assert (len(_find(header, other, 12)[0]) > 40) == (other == color)
-
-
-def test_long_caption_stays_inside():
-    image = _draw([], caption="a caption that is far too long for a picture of this width " * 4)
-    assert (image[:66, -14:] == 255).all()
-    assert (image[:30] < 128).any()
 
 
 def test_regions_lie_under_obstacles_and_obstacles_under_bodies():
@@ -245,15 +210,6 @@ def test_environment_gathers_trails_and_impacts():
     env.reset(seed=0)
     assert np.array_equal(env.render(), start)
     env.close()
-
-
-def test_importing_loads_no_pygame_and_drawing_prints_nothing():
-    code = (
-        "import sys; from impact_envs.render import Frame, Renderer; assert 'pygame' not in sys.modules;"
-        "Renderer((0, 0), (1, 1), []).draw(Frame(0.0, {}))"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout == ""
 
 
 def test_a_chain_is_drawn_from_joint_to_joint_in_its_bodys_color():

@@ -1,5 +1,7 @@
 """Many worlds are JointEnv many times over, and behave as Gymnasium defines a vector environment."""
 
+import itertools
+
 import gymnasium
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ SUITES = ("nominal", "all", "hard")
 WORLDS, CYCLES, SIZE = 3, 5, 6
 ALWAYS = ("robustness_lower", "robustness_upper")
 ONE, TWO = (np.arange(WORLDS) == k for k in (1, 2))
+FLOAT32 = pytest.mark.slow  # compiled apart from float64: half a minute
 
 
 def make_worlds(scenario=SCENARIO, worlds=WORLDS, threads=1, **options):
@@ -112,9 +115,10 @@ def test_gymnasiums_checks_of_an_environment_hold():
         check_reset_options(worlds)
 
 
-@pytest.mark.parametrize("strong", [False, True])
-@pytest.mark.parametrize("suite", SUITES)
-@pytest.mark.parametrize("name", DISCS)
+@pytest.mark.parametrize(
+    ("name", "suite", "strong"),
+    [*itertools.product(DISCS, SUITES, [True]), *itertools.product(["corridor", "crew"], SUITES, [False])],
+)
 def test_world_k_is_the_single_environment_with_seed_plus_k_bit_for_bit(name, suite, strong):
     scenario = load_scenario(name).suite(suite)
     scenario = strengthen(scenario) if strong else scenario
@@ -205,6 +209,7 @@ def test_a_masked_reset_leaves_the_other_worlds_alone():
         assert np.array_equal(mine[1][~ONE], theirs[1][~ONE])
 
 
+@FLOAT32
 def test_float32_follows_float64():
     double, single = make_worlds(worlds=50), make_worlds(worlds=50, dtype="float32")
     assert single.observation_space.dtype == np.float32
@@ -251,7 +256,7 @@ def test_observations_are_in_their_space():
     assert all(last in worlds.single_observation_space for last in infos["final_obs"])
 
 
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("dtype", ["float64", pytest.param("float32", marks=FLOAT32)])
 def test_tensors_share_memory_with_what_was_written_and_are_taken_in(dtype):
     torch = pytest.importorskip("torch")
     options = {"dtype": dtype, "per_robot": True, "autoreset_mode": "SameStep", "max_cycles": CYCLES}

@@ -1,10 +1,8 @@
 """The picture of free-flyers' episode shows what happened in it and what its expert did."""
 
-import itertools
 from dataclasses import replace
 from pathlib import Path
 
-import imageio.v3 as iio
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -20,7 +18,6 @@ from impact_envs.physics.impact import Impact
 from impact_envs.rollout import Episode, ZeroPolicy, rollout
 from impact_envs.scenario import load_scenario
 from planners import make_expert
-from planners.free_flyer.belief.world_memory import COUNTERS
 from train.cli import main
 from train.flight_picture import draw_flight, save_flight_picture
 from train.flight_record import FlightRecord, convert_episode
@@ -183,18 +180,6 @@ def test_courses_are_what_robots_follow(played: tuple[FlightRecord, Episode]) ->
         assert np.hypot(*(course[:, 1:3] - executed).T).max() < 0.15
 
 
-def test_names_of_events_stay_off_the_map(scenario: FreeFlyerScenario, played: tuple[FlightRecord, Episode]) -> None:
-    record = FlightRecord(ZeroPolicy(parallel_env(scenario)))
-    record.events = [(1.0, name) for name in COUNTERS for _ in range(100)]
-    drawn = draw_flight(scenario, played[1], record)
-    renderer = drawn.canvas.get_renderer()  # type: ignore[attr-defined]
-    labels = [text.get_window_extent(renderer) for text in drawn.axes[6].get_yticklabels()]
-    assert len(labels) == len(COUNTERS)
-    assert min(box.x0 for box in labels) > drawn.axes[0].get_window_extent().x1
-    for above, below in itertools.pairwise(labels):
-        assert below.y1 < above.y1
-
-
 def test_without_an_expert_only_what_happened_is_drawn(scenario: FreeFlyerScenario) -> None:
     policy = ZeroPolicy(parallel_env(scenario))
     record = FlightRecord(policy)
@@ -218,7 +203,7 @@ def test_file_is_written_and_bad_paths_are_refused(
     record, episode = played
     path = tmp_path / "flight.png"
     save_flight_picture(scenario, episode, path, record)
-    assert iio.imread(path).shape == (1501, 1920, 4)
+    assert path.read_bytes().startswith(b"\x89PNG")
     for bad, message in (("flight.jpg", "choices: a file ending in"), ("no/flight.png", "does not exist")):
         with pytest.raises(InputError, match=message):
             save_flight_picture(scenario, episode, tmp_path / bad, record)

@@ -18,7 +18,7 @@ from train.grasp_metrics import FIGURES, add_figures, add_torque_steps, compute_
 # The impact and 0.3 s more, with what the formula says of them: all that the baselines are compared in.
 SHORT = {"horizon": 1.1, "formula": "G[0,1.1] box.lag <= 0.015 & G[0,1.1] 0.001*box.torque_step <= 0.025"}
 KEYS = {"impact_time_difference", "torque_step", "torque_peak", "limit_time", "slip", "box_error", "interim_duration"}
-POLICIES = ("expert", "published", "no_impact_map", "no_interim_phase")
+POLICIES = ("expert", "no_impact_map")
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +46,9 @@ def test_run_prints_the_figures(shown):
         assert figures["policy"] == policy
         assert [impact["a"] for impact in figures["impacts"]] == ["arm_1", "arm_2"]
         assert not figures["fallbacks"]
+    assert shown["no_impact_map"]["limit_time"] > 0.0 == shown["expert"]["limit_time"]
+    assert shown["no_impact_map"]["torque_step"] > 4 * shown["expert"]["torque_step"]
+    assert not shown["no_impact_map"]["success"]
 
 
 def test_the_expert_grasps_as_it_should(shown):
@@ -56,14 +59,6 @@ def test_the_expert_grasps_as_it_should(shown):
     assert figures["slip"] <= 4e-3
     assert figures["box_error"] <= 10e-3
     assert figures["interim_duration"] <= 0.04
-
-
-@pytest.mark.parametrize("policy", ["expert", "published"])
-def test_the_comparison_of_the_paper_holds(shown, policy):
-    assert shown[policy]["torque_step"] <= 0.25 * shown["no_impact_map"]["torque_step"]
-    assert shown[policy]["torque_step"] <= 0.45 * shown["no_interim_phase"]["torque_step"]
-    assert {name for name, figures in shown.items() if figures["limit_time"] > 0.0} == {"no_impact_map"}
-    assert not shown["no_impact_map"]["success"] and not shown["no_interim_phase"]["success"]
 
 
 def test_the_expert_acts_at_the_period_of_its_scenario(cache):

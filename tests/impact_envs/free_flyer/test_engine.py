@@ -51,8 +51,8 @@ def find_impacts(cases, radius, end, times):
 
 
 def test_impact_times_are_the_roots_of_the_quartic():
-    """20,000 encounters under thrust: none missed, none invented, time within 1e-11 s of numpy's roots."""
-    rng, radius, end, n = np.random.default_rng(0), 0.4, 3.0, 20_000
+    """5,000 encounters under thrust: none missed, none invented, time within 1e-11 s of numpy's roots."""
+    rng, radius, end, n = np.random.default_rng(0), 0.4, 3.0, 5_000
     angle, distance = rng.uniform(0, 2 * np.pi, n), rng.uniform(0.41, 1.2, n)
     speed, aim = rng.uniform(0, 0.6, n), angle + np.pi + rng.normal(0, 0.5, n)
     thrust = rng.uniform(-0.2, 0.2, (n, 2))
@@ -75,7 +75,7 @@ def test_impact_times_are_the_roots_of_the_quartic():
         else:
             hits += 1
             worst = max(worst, abs(time - falling[0]))
-    assert hits > 5000
+    assert hits > 1250
     assert worst < 1e-11
 
 
@@ -154,7 +154,7 @@ def test_agrees_with_pymunks_model_until_chaos_takes_over():
     """Where a twin that starts 1e-13 m beside stays within 1e-9 m, both engines agree to 1e-8 m."""
     rng = np.random.default_rng(3)
     compared = impacts = episodes = 0
-    for _ in range(1000):
+    for _ in range(300):
         scenario = random_episode(rng)
         ours, twin, theirs = DiscModel(scenario), DiscModel(scenario), FreeFlyerModel(scenario)
         velocities = rng.uniform(-0.5, 0.5, (len(scenario.bodies), 2))
@@ -175,9 +175,9 @@ def test_agrees_with_pymunks_model_until_chaos_takes_over():
             assert np.max(np.abs(theirs.state() - state)) < 1e-8
             compared += 1
             impacts += len(hits)
-    assert episodes == 1000
-    assert compared > 15_000
-    assert impacts > 1000
+    assert episodes == 300
+    assert compared > 4_500
+    assert impacts > 300
 
 
 def test_offset_centres_of_mass_agree_with_pymunks_model():

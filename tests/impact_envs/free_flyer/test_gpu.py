@@ -72,8 +72,7 @@ def test_in_the_simulator():
 
 
 @on_device
-@pytest.mark.parametrize("suite", ["nominal", "all", "hard"])
-@pytest.mark.parametrize("name", ["corridor", "crew"])
+@pytest.mark.parametrize(("name", "suite"), [("corridor", "nominal"), ("corridor", "all"), ("crew", "hard")])
 def test_worlds_are_the_cpus(name, suite):
     pair = make_pair(strengthen(load_scenario(name).suite(suite)))
     check_same(pair)

@@ -255,9 +255,9 @@ def test_reset_forgets_what_on_off_thrusters_owe():
 # -------------------------------------------------------------------------------------------------- impacts
 
 
-@pytest.mark.parametrize("period", [0.01, 0.1, 0.5])
-@pytest.mark.parametrize("offset", [0.0, 0.5, 0.9, 0.99])
-@pytest.mark.parametrize("e", [0.5, 0.8, 1.0])
+@pytest.mark.parametrize(
+    ("period", "offset", "e"), [(0.1, 0.0, 1.0), (0.5, 0.5, 0.8), (0.1, 0.9, 0.5), (0.01, 0.99, 0.8)]
+)
 def test_oblique_disc_impact_is_the_closed_form_at_any_period(period, offset, e):
     radii, v = 0.2 + 0.15, np.array([1.0, 0.0])
     along = radii * math.sqrt(1 - offset**2)

@@ -14,7 +14,7 @@ from impact_envs.env import ImpactEnv
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.physics.impact import Impact
 from impact_envs.rollout import Episode
-from planners import list_variants, make_expert, make_plan
+from planners import list_variants, make_expert
 from planners.bezier import Curve
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain
 from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options
@@ -23,6 +23,7 @@ from planners.free_flyer.next_impact.desired_velocity import DEEP_ENOUGH
 from planners.free_flyer.tracking.box_qp import NEWTON_STEPS
 from planners.free_flyer.tracking.mpc import STAGES
 from planners.plan import Plan, PlannedImpact
+from tests.frozen.freeze import get_plan
 
 SEED = 1_000_000
 
@@ -40,7 +41,7 @@ def scenario() -> FreeFlyerScenario:
 
 @pytest.fixture(scope="module")
 def plan(scenario: FreeFlyerScenario) -> Plan:
-    return make_plan(scenario)
+    return get_plan(scenario.name, "nominal")
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +84,7 @@ def test_keeps_the_promise_of_the_plan(nominal: Episode, plan: Plan) -> None:
 
 def test_keeps_the_promise_in_the_corridor() -> None:
     corridor = load("corridor")
-    plan = make_plan(corridor)
+    plan = get_plan("corridor", "nominal")
     episode = rollout(parallel_env(corridor), FreeFlyerExpert(corridor, plan), SEED)
     assert episode.success
     assert episode.robustness >= plan.robustness - 0.01

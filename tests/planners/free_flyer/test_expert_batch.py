@@ -10,12 +10,12 @@ import pytest
 from impact_envs import InputError, load_scenario, parallel_env, vector_env
 from impact_envs.env import ImpactEnv
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners import make_plan
 from planners.free_flyer.belief.options import EXPERT
 from planners.free_flyer.belief.world_memory import COUNTERS
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
 from planners.plan import Plan
+from tests.frozen.freeze import get_plan
 
 SEED = 1_000_000
 TUNING = 40  # seeds
@@ -30,7 +30,9 @@ def load(name: str) -> FreeFlyerScenario:
 
 @cache
 def plan_of(name: str) -> Plan:
-    return make_plan(load(name))
+    plan = get_plan(name, "nominal")
+    assert plan is not None
+    return plan
 
 
 def start(env: ImpactEnv, expert: FreeFlyerExpert, seed: int | None) -> dict[str, np.ndarray]:
@@ -125,6 +127,7 @@ def test_worlds_do_not_know_each_other() -> None:
         joint = vector.step(actions)[0]
 
 
+@pytest.mark.slow  # worlds of float32 are compiled apart: half a minute
 def test_takes_single_precision_observations() -> None:
     world, plan = load("throw_and_catch"), plan_of("throw_and_catch")
     vector = vector_env(world, num_envs=2, threads=1, dtype="float32")
