@@ -33,7 +33,7 @@ from impact_envs.scenario import load_scenario
 from planners import make_plan
 from planners.errors import PlanningError
 from planners.free_flyer.published.encoding import make_bezier_plan
-from planners.solvers import PACKAGES, installed_solvers
+from planners.solvers import SOLVERS, installed_solvers
 
 SCENARIOS = ("throw_and_catch", "corridor", "pong", "pingpong", "obstacle_avoidance")
 MIQP_GAP = 1e-4  # Gurobi's default; the published code sets no other
@@ -120,7 +120,7 @@ def main(args: Args) -> list[dict[str, str]]:
 
 def describe_machine() -> dict[str, str]:
     """Return what times depend on, the load average before the start among it."""
-    solvers = {PACKAGES[solver]: version(PACKAGES[solver]) for solver in installed_solvers()}
+    solvers = {SOLVERS[name].package: version(SOLVERS[name].package) for name in installed_solvers()}
     return {
         "processor": platform.processor() or platform.machine(),
         "cores": str(os.cpu_count()),
@@ -133,7 +133,7 @@ def describe_machine() -> dict[str, str]:
 
 def make_jobs(args: Args) -> Iterator[Job]:
     """Return all runs in their order; methods take turns within a round."""
-    quadratic = [solver for solver in installed_solvers() if solver != "highs"]
+    quadratic = [name for name in installed_solvers() if SOLVERS[name].quadratic]
     scenarios = {name: _load(name) for name in args.scenarios}
     for turn in range(args.repeats):
         for name, believed in scenarios.items():

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from planners.errors import Infeasible, SolverFailed
-from planners.mixed_integer import Affine, Model
+from planners.mixed_integer import Affine, Model, stack
 
 
 def solve_cones(model: Model, integers: np.ndarray, shares: Sequence[Sequence[Affine]]) -> np.ndarray:
@@ -41,7 +41,7 @@ def solve_cones(model: Model, integers: np.ndarray, shares: Sequence[Sequence[Af
         [d for _, d, _ in shares],
     )
     stacked = [part[k] for k in range(len(shares)) for part in cone]
-    cone_rows, cone_high = _affine_rows(stacked, len(base))
+    cone_rows, cone_high = stack(stacked, len(base))
     rest = high - matrix @ base
     rows = matrix[:, free]
     # Clarabel wants A x + s = b with s in {0}, R+ and the second-order cones, in this order.
@@ -87,12 +87,3 @@ def solve_clarabel(
     if status not in ("Solved", "AlmostSolved"):
         raise SolverFailed(name, f"Clarabel: {status}", "change the time reserves or the number of impacts")
     return np.array(solution.x)
-
-
-def _affine_rows(expressions: list[Affine], size: int) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """Return the rows A, c with expressions = A x + c."""
-    indptr = np.cumsum([0, *(len(e.coefficients) for e in expressions)])
-    columns = [i for e in expressions for i in e.coefficients]
-    data = [c for e in expressions for c in e.coefficients.values()]
-    constants = np.array([e.constant for e in expressions])
-    return sparse.csr_matrix((data, columns, indptr), shape=(len(expressions), size)), constants

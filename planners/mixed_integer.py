@@ -1,4 +1,4 @@
-"""Mixed-integer linear models written row by row, with interval big-M, solved by HiGHS."""
+"""Mixed-integer linear models written row by row, with interval big-M; `planners.solvers` solves them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-import highspy
 import numpy as np
 from scipy import sparse
 
-from planners.errors import Infeasible, SolverFailed
+from planners.errors import Infeasible
 
 
 class Affine:
@@ -63,6 +62,15 @@ def evaluate(expressions: object, x: np.ndarray) -> np.ndarray:
     array = np.array(expressions, dtype=object)
     flat = [entry.value(x) if isinstance(entry, Affine) else float(entry) for entry in array.flat]
     return np.array(flat).reshape(array.shape)
+
+
+def stack(expressions: Sequence[Affine], size: int) -> tuple[sparse.csr_matrix, np.ndarray]:
+    """Return A, shape (m, size), and c, shape (m,), with expressions = A x + c."""
+    indptr = np.cumsum([0, *(len(e.coefficients) for e in expressions)])
+    columns = [i for e in expressions for i in e.coefficients]
+    data = [c for e in expressions for c in e.coefficients.values()]
+    constants = np.array([e.constant for e in expressions])
+    return sparse.csr_matrix((data, columns, indptr), shape=(len(expressions), size)), constants
 
 
 @dataclass(frozen=True)
@@ -212,95 +220,7 @@ class Model:
 
     def rows(self) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray]:
         """Return all rows as low <= A x <= high; the equalities come last."""
-        every = [*self.inequalities, *self.equalities]
-        indptr = np.cumsum([0, *(len(row.coefficients) for row in every)])
-        columns = [i for row in every for i in row.coefficients]
-        data = [c for row in every for c in row.coefficients.values()]
-        matrix = sparse.csr_matrix((data, columns, indptr), shape=(len(every), len(self.lower)))
-        high = -np.array([row.constant for row in every])
+        matrix, constants = stack([*self.inequalities, *self.equalities], len(self.lower))
+        high = -constants
         low = np.concatenate([np.full(len(self.inequalities), -np.inf), high[len(self.inequalities) :]])
         return matrix, low, high
-
-
-def solve_mixed_integer(model: Model, time_limit: float, relative_gap: float = 1e-6) -> Solution:
-    """Minimise a mixed-integer linear model with HiGHS.
-
-    Args:
-        model: the model.
-        time_limit: wall time after which the best point so far is returned [s].
-        relative_gap: proof is complete once (objective - bound) / |objective| is below this.
-
-    Returns:
-        The best point and the proven bound.
-
-    Raises:
-        Infeasible: proven to have no solution.
-        SolverFailed: no point within the time limit.
-    """
-    solver = _run_highs(model, time_limit, relative_gap)
-    info = solver.getInfo()
-    if info.primal_solution_status != highspy.SolutionStatus.kSolutionStatusFeasible:
-        text = solver.modelStatusToString(solver.getModelStatus()).lower()
-        raise SolverFailed(model.name, f"HiGHS: {text}, no solution found", "raise the time limit")
-    x = np.array(solver.getSolution().col_value)
-    bound = info.mip_dual_bound if any(model.integer) else info.objective_function_value
-    return Solution(x, info.objective_function_value, bound)
-
-
-def compute_lower_bound(model: Model, time_limit: float, nodes: int) -> tuple[float, np.ndarray | None]:
-    """Return what no point of a model can go below, after so many nodes of the search at most.
-
-    Args:
-        model: the model.
-        time_limit: wall time [s].
-        nodes: of branch and bound; 0 solves the linear relaxation alone.
-
-    Returns:
-        The bound, and the best point found on the way, shape (n,), if any; without nodes its integers are not.
-
-    Raises:
-        Infeasible: proven to have no solution.
-    """
-    solver = _run_highs(model, time_limit, 1e-4, nodes)
-    info = solver.getInfo()
-    found = info.primal_solution_status == highspy.SolutionStatus.kSolutionStatusFeasible
-    bound = info.mip_dual_bound if nodes else info.objective_function_value
-    return bound, np.array(solver.getSolution().col_value) if found else None
-
-
-def _run_highs(model: Model, time_limit: float, relative_gap: float, nodes: int | None = None) -> highspy.Highs:
-    solver = highspy.Highs()
-    for option, value in (("output_flag", False), ("threads", 1), ("time_limit", max(time_limit, 0.1))):
-        solver.setOptionValue(option, value)
-    for option in ("mip_feasibility_tolerance", "primal_feasibility_tolerance"):
-        solver.setOptionValue(option, 1e-8)
-    solver.setOptionValue("mip_rel_gap", relative_gap)
-    solver.setOptionValue("mip_allow_restart", False)  # these models are small: a restart costs more than it brings
-    if nodes is not None:
-        solver.setOptionValue("solve_relaxation", nodes == 0)
-        solver.setOptionValue("mip_max_nodes", max(nodes, 1))
-    solver.passModel(_highs_problem(model))
-    solver.run()
-    status = highspy.HighsModelStatus
-    if solver.getModelStatus() in (status.kInfeasible, status.kUnboundedOrInfeasible):
-        raise Infeasible(model.name, "proven infeasible", "relax the formula, the limits or the horizon")
-    return solver
-
-
-def _highs_problem(model: Model) -> highspy.HighsLp:
-    matrix, low, high = model.rows()
-    problem = highspy.HighsLp()
-    problem.num_col_, problem.num_row_ = len(model.lower), matrix.shape[0]
-    cost = np.zeros(len(model.lower))
-    for i, c in model.objective.coefficients.items():
-        cost[i] += c
-    problem.col_cost_, problem.offset_ = cost, model.objective.constant
-    problem.col_lower_, problem.col_upper_ = np.array(model.lower), np.array(model.upper)
-    problem.row_lower_, problem.row_upper_ = low, high
-    problem.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
-    problem.a_matrix_.start_ = matrix.indptr
-    problem.a_matrix_.index_ = matrix.indices
-    problem.a_matrix_.value_ = matrix.data
-    kinds = (highspy.HighsVarType.kContinuous, highspy.HighsVarType.kInteger)
-    problem.integrality_ = [kinds[integer] for integer in model.integer]
-    return problem

@@ -1,49 +1,115 @@
-"""One door to mixed-integer solvers: HiGHS, which is always there, and SCIP and Gurobi where they are installed."""
+"""The one door to mixed-integer solvers: HiGHS is always there, SCIP and Gurobi where their packages are installed.
+
+A further solver is one entry of `SOLVERS`: its title, its package and a function that solves a model.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
+import highspy
 import numpy as np
-from scipy import sparse
 
 from impact_envs.errors import InputError, choices
 from planners.errors import Infeasible, SolverFailed
-from planners.mixed_integer import Affine, Model, Solution, solve_mixed_integer
+from planners.mixed_integer import Affine, Model, Solution, stack
 
-SOLVERS = ("highs", "scip", "gurobi")
-PACKAGES = {"highs": "highspy", "scip": "pyscipopt", "gurobi": "gurobipy"}
-TOLERANCE = 1e-8  # of rows and integers
-REMEDY = "relax the formula, the limits or the horizon"
+TOLERANCE = 1e-8  # of rows [their unit] and integers
+RELATIVE_GAP = 1e-6  # of the objective, at which a solution counts as optimal
+BOUND_GAP = 1e-4  # the same for a bound alone
+SHORTEST = 0.1  # solvers get no less time than this [s]
 Squares = Sequence[tuple[float, Affine]]
 
 
+@dataclass(frozen=True)
+class Limits:
+    """Say when a solver stops.
+
+    Args:
+        seconds: wall time [s].
+        relative_gap: (objective - bound) / |objective| at which the proof is complete; infinite: at the first point.
+        nodes: of branch and bound; 0 solves the linear relaxation alone; None: any number.
+    """
+
+    seconds: float
+    relative_gap: float
+    nodes: int | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Hold what a solver stopped with.
+
+    Args:
+        status: in the solver's own words.
+        x: best point found, shape (n,); None: no point was found.
+        objective: of this point, constants included.
+        bound: proven lower bound of the objective.
+        infeasible: proven to have no solution.
+    """
+
+    status: str
+    x: np.ndarray | None = None
+    objective: float = math.inf
+    bound: float = -math.inf
+    infeasible: bool = False
+
+
+@dataclass(frozen=True)
+class Solver:
+    """Describe a mixed-integer solver.
+
+    Args:
+        title: its name in messages.
+        package: that pip installs and Python imports.
+        run: minimises the model's objective plus sum_i w_i e_i(x)^2 over pairs (w_i, e_i), on one thread.
+        quadratic: whether `run` takes any such pairs.
+    """
+
+    title: str
+    package: str
+    run: Callable[[Model, Limits, Squares], Outcome]
+    quadratic: bool = True
+
+
 def installed_solvers() -> tuple[str, ...]:
-    """Return the solvers whose packages are installed; a licence may still be missing."""
-    return tuple(name for name in SOLVERS if find_spec(PACKAGES[name]))
+    """Return the names of the solvers whose packages are installed; a licence may still be missing."""
+    return tuple(name for name, solver in SOLVERS.items() if find_spec(solver.package))
+
+
+def check_solver(name: str) -> None:
+    """Check that a solver is known and its package installed.
+
+    Raises:
+        InputError: it is not; says which are, and how to install it.
+    """
+    if name not in SOLVERS:
+        raise InputError(f"solver '{name}' is unknown; {choices(name, SOLVERS)}")
+    if name not in installed_solvers():
+        package, here = SOLVERS[name].package, ", ".join(installed_solvers())
+        raise InputError(f"solver '{name}' needs the package {package}: pip install {package}; installed: {here}")
 
 
 def solve(
     model: Model,
     time_limit: float,
-    relative_gap: float = 1e-6,
+    relative_gap: float = RELATIVE_GAP,
     solver: str = "highs",
     squares: Squares = (),
 ) -> Solution:
     r"""Minimise a mixed-integer model with linear rows: objective + sum_i w_i e_i(x)^2.
 
-    One thread. An infinite gap stops at the first point found.
-
     Args:
         model: the model.
         time_limit: wall time after which the best point so far is returned [s].
-        relative_gap: proof is complete once (objective - bound) / |objective| is below this.
-        solver: one of `SOLVERS`; SCIP and Gurobi need their packages.
-        squares: pairs (w_i, e_i) of a weight >= 0 and an expression; SCIP and Gurobi only.
+        relative_gap: (objective - bound) / |objective| at which the proof is complete; infinite: at the first point.
+        solver: a key of `SOLVERS`.
+        squares: pairs (w_i, e_i) of a weight >= 0 and an expression; not for HiGHS.
 
     Returns:
         The best point and the proven bound.
@@ -53,63 +119,103 @@ def solve(
         Infeasible: proven to have no solution.
         SolverFailed: no point within the time limit, no licence, or squares given to HiGHS.
     """
-    check_solver(solver)
-    if solver == "scip":
-        return _solve_scip(model, time_limit, relative_gap, squares)
-    if solver == "gurobi":
-        return _solve_gurobi(model, time_limit, relative_gap, squares)
-    if squares:
-        status = "HiGHS takes no quadratic objective together with integer variables"
-        raise SolverFailed(model.name, status, "use solver scip or gurobi, or leave the quadratic terms out")
-    return solve_mixed_integer(model, time_limit, relative_gap)
+    outcome = _run(model, Limits(time_limit, relative_gap), solver, squares)
+    if outcome.x is None:
+        status = f"{SOLVERS[solver].title}: {outcome.status}, no solution found"
+        raise SolverFailed(model.name, status, "raise the time limit")
+    return Solution(outcome.x, outcome.objective, outcome.bound)
 
 
-def check_solver(solver: str) -> None:
-    """Check that a solver is known and its package installed.
+def compute_lower_bound(
+    model: Model, time_limit: float, nodes: int, solver: str = "highs"
+) -> tuple[float, np.ndarray | None]:
+    """Return a proven lower bound of a model's objective from a search of limited size.
 
     Args:
-        solver: its name.
+        model: the model.
+        time_limit: wall time [s].
+        nodes: greatest number of nodes of branch and bound; 0 solves the linear relaxation alone.
+        solver: a key of `SOLVERS`.
+
+    Returns:
+        The bound, and the best point found, shape (n,), if any; with 0 nodes its integers are fractional.
 
     Raises:
-        InputError: it is not; says which are, and how to install it.
+        InputError: unknown solver, or its package is not installed.
+        Infeasible: proven to have no solution.
     """
-    if solver not in SOLVERS:
-        raise InputError(f"solver '{solver}' is unknown; {choices(solver, SOLVERS)}")
-    if solver not in installed_solvers():
-        package = PACKAGES[solver]
-        here = ", ".join(installed_solvers())
-        raise InputError(f"solver '{solver}' needs the package {package}: pip install {package}; installed: {here}")
+    outcome = _run(model, Limits(time_limit, BOUND_GAP, nodes), solver, ())
+    return outcome.bound, outcome.x
 
 
-def _stack(expressions: Sequence[Affine], size: int) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """Return A, c with expressions = A x + c."""
-    indptr = np.cumsum([0, *(len(e.coefficients) for e in expressions)])
-    columns = [i for e in expressions for i in e.coefficients]
-    data = [c for e in expressions for c in e.coefficients.values()]
-    constants = np.array([e.constant for e in expressions])
-    return sparse.csr_matrix((data, columns, indptr), shape=(len(expressions), size)), constants
+def _run(model: Model, limits: Limits, name: str, squares: Squares) -> Outcome:
+    check_solver(name)
+    solver = SOLVERS[name]
+    if squares and not solver.quadratic:
+        able = " or ".join(other for other, one in SOLVERS.items() if one.quadratic)
+        status = f"{solver.title} takes no quadratic objective together with integer variables"
+        raise SolverFailed(model.name, status, f"use solver {able}, or leave the quadratic terms out")
+    outcome = solver.run(model, limits, squares)
+    if outcome.infeasible:
+        raise Infeasible(model.name, "proven infeasible", "relax the formula, the limits or the horizon")
+    return outcome
 
 
-def _solution(model: Model, x: np.ndarray, bound: float, squares: Squares) -> Solution:
-    value = model.objective.value(x) + sum(weight * expression.value(x) ** 2 for weight, expression in squares)
-    return Solution(x, value, min(bound, value))
+def _run_highs(model: Model, limits: Limits, squares: Squares) -> Outcome:
+    solver = highspy.Highs()
+    options: dict[str, Any] = {
+        "output_flag": False,
+        "threads": 1,
+        "time_limit": max(limits.seconds, SHORTEST),
+        "mip_feasibility_tolerance": TOLERANCE,
+        "primal_feasibility_tolerance": TOLERANCE,
+        "mip_rel_gap": limits.relative_gap,
+        "mip_allow_restart": False,  # these models are small: a restart costs more than it brings
+    }
+    if limits.nodes is not None:
+        options |= {"solve_relaxation": limits.nodes == 0, "mip_max_nodes": max(limits.nodes, 1)}
+    for option, value in options.items():
+        solver.setOptionValue(option, value)
+    solver.passModel(_make_highs_problem(model))
+    solver.run()
+    status, text = solver.getModelStatus(), solver.modelStatusToString(solver.getModelStatus()).lower()
+    if status in (highspy.HighsModelStatus.kInfeasible, highspy.HighsModelStatus.kUnboundedOrInfeasible):
+        return Outcome(text, infeasible=True)
+    info = solver.getInfo()
+    found = info.primal_solution_status == highspy.SolutionStatus.kSolutionStatusFeasible
+    x = np.array(solver.getSolution().col_value) if found else None
+    continuous = limits.nodes == 0 or not any(model.integer)
+    bound = info.objective_function_value if continuous else info.mip_dual_bound
+    return Outcome(text, x, info.objective_function_value, bound)
 
 
-def _solve_scip(model: Model, time_limit: float, relative_gap: float, squares: Squares) -> Solution:
+def _make_highs_problem(model: Model) -> highspy.HighsLp:
+    matrix, low, high = model.rows()
+    problem = highspy.HighsLp()
+    problem.num_col_, problem.num_row_ = len(model.lower), matrix.shape[0]
+    cost = np.zeros(len(model.lower))
+    for i, c in model.objective.coefficients.items():
+        cost[i] += c
+    problem.col_cost_, problem.offset_ = cost, model.objective.constant
+    problem.col_lower_, problem.col_upper_ = np.array(model.lower), np.array(model.upper)
+    problem.row_lower_, problem.row_upper_ = low, high
+    problem.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
+    problem.a_matrix_.start_ = matrix.indptr
+    problem.a_matrix_.index_ = matrix.indices
+    problem.a_matrix_.value_ = matrix.data
+    kinds = (highspy.HighsVarType.kContinuous, highspy.HighsVarType.kInteger)
+    problem.integrality_ = [kinds[integer] for integer in model.integer]
+    return problem
+
+
+def _run_scip(model: Model, limits: Limits, squares: Squares) -> Outcome:
     """Solve with SCIP; each square has a variable t_i >= w_i e_i^2 in the objective."""
-    scip_package: Any = import_module(PACKAGES["scip"])
+    scip_package: Any = import_module(SOLVERS["scip"].package)
     scip = scip_package.Model(model.name)
     scip.hideOutput()
-    parameters = {"limits/time": max(time_limit, 0.1), "parallel/maxnthreads": 1, "lp/threads": 1}
-    if math.isinf(relative_gap):
-        parameters["limits/solutions"] = 1
-    else:
-        parameters["limits/gap"] = relative_gap
-    if not squares:
-        parameters["numerics/feastol"] = TOLERANCE
-    for name, value in parameters.items():
+    for name, value in _make_scip_parameters(limits, bool(squares)).items():
         scip.setParam(name, value)
-    kinds = ("C", "I")
+    kinds = ("C", "C" if limits.nodes == 0 else "I")
     x = [
         scip.addVar(lb=low, ub=high, vtype=kinds[integer])
         for low, high, integer in zip(model.lower, model.upper, model.integer, strict=True)
@@ -130,66 +236,91 @@ def _solve_scip(model: Model, time_limit: float, relative_gap: float, squares: S
         objective += share
     scip.setObjective(objective, "minimize")
     scip.optimize()
-    return _read_scip(model, scip, x, squares)
-
-
-def _read_scip(model: Model, scip: Any, x: list[Any], squares: Squares) -> Solution:
     status = scip.getStatus()
     if status == "userinterrupt":
         raise KeyboardInterrupt
-    if status in ("infeasible", "inforunbd"):
-        raise Infeasible(model.name, "proven infeasible", REMEDY)
-    if scip.getNSols() == 0:
-        raise SolverFailed(model.name, f"SCIP: {status}, no solution found", "raise the time limit")
-    best = scip.getBestSol()
-    values = np.array([scip.getSolVal(best, variable) for variable in x])
-    bound = scip.getDualbound() + model.objective.constant
-    return _solution(model, values, -math.inf if bound <= -scip.infinity() else bound, squares)
+    bound = scip.getDualbound()
+    best = scip.getBestSol() if scip.getNSols() else None
+    return _make_outcome(
+        model,
+        squares,
+        status,
+        None if best is None else np.array([scip.getSolVal(best, variable) for variable in x]),
+        -math.inf if bound <= -scip.infinity() else bound + model.objective.constant,
+        status in ("infeasible", "inforunbd"),
+    )
 
 
-def _solve_gurobi(model: Model, time_limit: float, relative_gap: float, squares: Squares) -> Solution:
+def _make_scip_parameters(limits: Limits, quadratic: bool) -> dict[str, float]:
+    parameters = {"limits/time": max(limits.seconds, SHORTEST), "parallel/maxnthreads": 1, "lp/threads": 1}
+    if math.isinf(limits.relative_gap):
+        parameters["limits/solutions"] = 1
+    else:
+        parameters["limits/gap"] = limits.relative_gap
+    if limits.nodes:
+        parameters["limits/nodes"] = limits.nodes
+    if not quadratic:
+        parameters["numerics/feastol"] = TOLERANCE
+    return parameters
+
+
+def _run_gurobi(model: Model, limits: Limits, squares: Squares) -> Outcome:
     """Solve with Gurobi, squares in its quadratic objective."""
-    gurobi: Any = import_module(PACKAGES["gurobi"])
+    gurobi: Any = import_module(SOLVERS["gurobi"].package)
     parameters = {
         "OutputFlag": 0,
         "Threads": 1,
-        "TimeLimit": max(time_limit, 0.1),
+        "TimeLimit": max(limits.seconds, SHORTEST),
         "FeasibilityTol": TOLERANCE,
         "IntFeasTol": TOLERANCE,
     }
-    if math.isinf(relative_gap):
+    if math.isinf(limits.relative_gap):
         parameters["SolutionLimit"] = 1
     else:
-        parameters["MIPGap"] = relative_gap
+        parameters["MIPGap"] = limits.relative_gap
+    if limits.nodes:
+        parameters["NodeLimit"] = limits.nodes
     try:
         with gurobi.Env(params=parameters) as environment, gurobi.Model(model.name, env=environment) as problem:
             matrix, _, high = model.rows()
             split = len(model.inequalities)
-            kinds = ["I" if integer else "C" for integer in model.integer]
+            kinds = ["I" if integer and limits.nodes != 0 else "C" for integer in model.integer]
             x = problem.addMVar(len(kinds), lb=model.lower, ub=model.upper, vtype=kinds)
             problem.addConstr(matrix[:split] @ x <= high[:split])
             problem.addConstr(matrix[split:] @ x == high[split:])
-            linear, constant = _stack([model.objective], len(kinds))
+            linear, constant = stack([model.objective], len(kinds))
             cost = linear.toarray()[0] @ x + constant[0]
             if squares:
                 roots = [expression * math.sqrt(weight) for weight, expression in squares]
-                S, s = _stack(roots, len(kinds))
+                S, s = stack(roots, len(kinds))
                 cost = cost + x @ (S.T @ S) @ x + 2.0 * (s @ S) @ x + s @ s
             problem.setObjective(cost)
             problem.optimize()
-            return _read_gurobi(gurobi, model, problem, x, squares)
+            status = problem.Status
+            if status == gurobi.GRB.INTERRUPTED:
+                raise KeyboardInterrupt
+            # Every variable has finite bounds, so a model that is infeasible or unbounded is infeasible.
+            if status in (gurobi.GRB.INFEASIBLE, gurobi.GRB.INF_OR_UNBD):
+                return Outcome(f"status {status}", infeasible=True)
+            point = np.array(x.X) if problem.SolCount else None
+            bound = problem.ObjBound if problem.IsMIP or squares or point is None else problem.ObjVal
+            return _make_outcome(model, squares, f"status {status}", point, bound, False)
     except gurobi.GurobiError as error:
         raise SolverFailed(model.name, f"Gurobi: {error}", "use another solver, or a licence that allows it") from None
 
 
-def _read_gurobi(gurobi: Any, model: Model, problem: Any, x: Any, squares: Squares) -> Solution:
-    status = problem.Status
-    if status == gurobi.GRB.INTERRUPTED:
-        raise KeyboardInterrupt
-    # Every variable has finite bounds, so a model that is infeasible or unbounded is infeasible.
-    if status in (gurobi.GRB.INFEASIBLE, gurobi.GRB.INF_OR_UNBD):
-        raise Infeasible(model.name, "proven infeasible", REMEDY)
-    if problem.SolCount == 0:
-        raise SolverFailed(model.name, f"Gurobi: status {status}, no solution found", "raise the time limit")
-    bound = problem.ObjBound if any(model.integer) or squares else problem.ObjVal
-    return _solution(model, np.array(x.X), bound, squares)
+def _make_outcome(
+    model: Model, squares: Squares, status: str, x: np.ndarray | None, bound: float, infeasible: bool
+) -> Outcome:
+    """Return the outcome of a point, whose objective is computed here, for the solver may round."""
+    if x is None:
+        return Outcome(status, bound=bound, infeasible=infeasible)
+    value = model.objective.value(x) + sum(weight * expression.value(x) ** 2 for weight, expression in squares)
+    return Outcome(status, x, value, min(bound, value))
+
+
+SOLVERS = {
+    "highs": Solver("HiGHS", "highspy", _run_highs, quadratic=False),
+    "scip": Solver("SCIP", "pyscipopt", _run_scip),
+    "gurobi": Solver("Gurobi", "gurobipy", _run_gurobi),
+}

@@ -3,7 +3,8 @@ import pytest
 
 from planners.alternatives import AllOf, AnyOf, compute_violation, read_marks, require_tree
 from planners.errors import Infeasible
-from planners.mixed_integer import Affine, Model, solve_mixed_integer
+from planners.mixed_integer import Affine, Model
+from planners.solvers import solve
 
 Node = AllOf[str] | AnyOf[str] | Affine | float
 
@@ -18,7 +19,7 @@ def _range(tree: Node, x: Affine, model: Model) -> tuple[float, float]:
     ends = []
     for sign in (1.0, -1.0):
         model.objective = x * sign
-        ends.append(sign * solve_mixed_integer(model, 10.0).objective)
+        ends.append(sign * solve(model, 10.0).objective)
     return ends[0], ends[1]
 
 
@@ -40,12 +41,12 @@ def test_choices_inside_an_alternative_hold_only_with_it() -> None:
     twice = AllOf((_between(x, 7.0, 9.0), AnyOf((y - 1.0, 9.0 - y)), AnyOf((2.0 - y, x - 8.0))))
     require_tree(model, AnyOf((twice, AllOf((x - 2.0, _between(y, 4.0, 5.0))))))
     model.objective = -x
-    assert solve_mixed_integer(model, 10.0).objective == pytest.approx(-9.0)
+    assert solve(model, 10.0).objective == pytest.approx(-9.0)
     # x above 8 takes y from 9 on, x from 7 on takes y up to 1 or from 9 on.
     model.require(y - 8.0)
-    assert solve_mixed_integer(model, 10.0).objective == pytest.approx(-8.0)
+    assert solve(model, 10.0).objective == pytest.approx(-8.0)
     model.require(2.0 - y)
-    assert solve_mixed_integer(model, 10.0).objective == pytest.approx(-2.0)
+    assert solve(model, 10.0).objective == pytest.approx(-2.0)
 
 
 def test_what_bounds_decide_takes_no_binaries() -> None:
@@ -71,7 +72,7 @@ def test_an_elastic_part_gives_way_without_giving_up_its_choices() -> None:
     with model.part("high", 5.0):
         require_tree(model, AnyOf((_between(x, 12.0, 13.0), _between(x, 14.0, 15.0))))
     model.objective = model.slacks["high"]
-    assert solve_mixed_integer(model, 10.0).objective == pytest.approx(2.0)
+    assert solve(model, 10.0).objective == pytest.approx(2.0)
 
 
 def test_marks_are_of_the_first_alternative_that_holds() -> None:

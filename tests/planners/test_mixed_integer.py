@@ -1,11 +1,10 @@
-import itertools
-
 import numpy as np
 import pytest
 
 from planners.cones import solve_cones
 from planners.errors import Infeasible
-from planners.mixed_integer import Affine, Model, evaluate, solve_mixed_integer
+from planners.mixed_integer import Affine, Model, evaluate
+from planners.solvers import solve
 
 
 def test_expressions_are_affine() -> None:
@@ -25,19 +24,6 @@ def test_arrays_of_expressions_obey_linear_algebra() -> None:
     np.testing.assert_allclose(evaluate(H @ p - np.ones(2), x), H @ x - 1.0)
 
 
-def test_knapsack_equals_enumeration() -> None:
-    rng = np.random.default_rng(3)
-    value, weight = rng.uniform(1, 2, 8), rng.uniform(1, 2, 8)
-    model = Model("knapsack")
-    chosen = [model.binary() for _ in value]
-    model.require(sum((w * z for w, z in zip(weight, chosen, strict=True)), Affine({})) - 6.0)
-    model.objective = sum((-v * z for v, z in zip(value, chosen, strict=True)), Affine({}))
-    solution = solve_mixed_integer(model, 10.0)
-    best = max(value @ z for z in itertools.product((0, 1), repeat=8) if weight @ z <= 6.0)
-    assert -solution.objective == pytest.approx(best, abs=1e-7)
-    assert solution.bound <= solution.objective + 1e-9
-
-
 def test_one_of_several_alternatives_holds() -> None:
     model = Model("alternatives")
     x = model.variable(0.0, 10.0)
@@ -45,7 +31,7 @@ def test_one_of_several_alternatives_holds() -> None:
     model.require(3.0 - x)
     model.objective = x
     assert sum(model.integer) == 2  # the third cannot hold and costs no binary
-    assert solve_mixed_integer(model, 10.0).x[0] == pytest.approx(7.0)
+    assert solve(model, 10.0).x[0] == pytest.approx(7.0)
 
 
 def test_implied_rows_are_dropped_and_impossible_ones_refused() -> None:
@@ -55,17 +41,6 @@ def test_implied_rows_are_dropped_and_impossible_ones_refused() -> None:
     assert not model.inequalities
     with pytest.raises(Infeasible, match="impossible"):
         model.require_any([[2.0 - x], [3.0 - x]])
-
-
-def test_infeasible_is_typed() -> None:
-    model = Model("empty")
-    x = model.variable(0.0, 1.0, integer=True)
-    model.require(0.4 - x)
-    model.require(x - 0.6)
-    with pytest.raises(Infeasible) as error:
-        solve_mixed_integer(model, 10.0)
-    assert error.value.problem == "empty"
-    assert error.value.remedy
 
 
 def test_shares_are_quotients() -> None:

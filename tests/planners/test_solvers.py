@@ -8,19 +8,16 @@ from impact_envs.errors import InputError
 from planners import solvers
 from planners.errors import Infeasible, SolverFailed
 from planners.mixed_integer import Affine, Model
-from planners.solvers import PACKAGES, SOLVERS, installed_solvers, solve
+from planners.solvers import SOLVERS, compute_lower_bound, installed_solvers, solve
 
 INSTALLED = installed_solvers()
-EVERY = pytest.mark.parametrize(
-    "solver",
-    [pytest.param(s, marks=pytest.mark.skipif(s not in INSTALLED, reason=f"{PACKAGES[s]} missing")) for s in SOLVERS],
-)
+MISSING = {
+    name: pytest.mark.skipif(name not in INSTALLED, reason=f"{solver.package} missing")
+    for name, solver in SOLVERS.items()
+}
+EVERY = pytest.mark.parametrize("solver", [pytest.param(name, marks=MISSING[name]) for name in SOLVERS])
 QUADRATIC = pytest.mark.parametrize(
-    "solver",
-    [
-        pytest.param(s, marks=pytest.mark.skipif(s not in INSTALLED, reason=f"{PACKAGES[s]} missing"))
-        for s in ("scip", "gurobi")
-    ],
+    "solver", [pytest.param(name, marks=MISSING[name]) for name, one in SOLVERS.items() if one.quadratic]
 )
 
 
@@ -61,6 +58,7 @@ def test_infeasible_is_typed(solver: str) -> None:
     with pytest.raises(Infeasible) as error:
         solve(model, 10.0, solver=solver)
     assert error.value.problem == "empty"
+    assert error.value.remedy
 
 
 @EVERY
@@ -72,6 +70,22 @@ def test_an_infinite_gap_takes_the_first_point(solver: str) -> None:
     solution = solve(model, 10.0, relative_gap=math.inf, solver=solver)
     assert solution.bound <= -3.0 + 1e-6
     assert -3.0 - 1e-6 <= solution.objective <= 1e-6
+
+
+@EVERY
+def test_bounds_of_a_limited_search_are_bounds(solver: str) -> None:
+    """Of three items of weight 2 a knapsack of 5 takes two; its linear relaxation takes two and a half."""
+    model = Model("bound")
+    chosen = [model.binary() for _ in range(3)]
+    model.require(sum((2.0 * z for z in chosen), Affine({})) - 5.0)
+    model.objective = sum((-z for z in chosen), Affine({}))
+    relaxed, fractional = compute_lower_bound(model, 10.0, 0, solver)
+    assert relaxed == pytest.approx(-2.5, abs=1e-6)
+    assert fractional is not None
+    assert model.objective.value(fractional) == pytest.approx(-2.5, abs=1e-6)
+    searched, point = compute_lower_bound(model, 10.0, 100, solver)
+    assert -2.5 - 1e-6 <= searched <= -2.0 + 1e-6
+    assert point is None or np.abs(point - point.round()).max() < 1e-6
 
 
 @QUADRATIC
@@ -104,7 +118,7 @@ def test_unknown_solvers_name_the_choices() -> None:
 def test_missing_packages_say_how_to_install_them(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solvers, "find_spec", lambda package: package == "highspy" or None)
     assert installed_solvers() == ("highs",)
-    with pytest.raises(InputError, match=f"pip install {PACKAGES[solver]}; installed: highs"):
+    with pytest.raises(InputError, match=f"pip install {SOLVERS[solver].package}; installed: highs"):
         solve(Model("any"), 10.0, solver=solver)
 
 

@@ -11,7 +11,8 @@ from planners.free_flyer.nominal.event_grid import build_event_grid
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.formula_rows import add_demands
 from planners.free_flyer.specification.requirement import Demands
-from planners.mixed_integer import Affine, solve_mixed_integer
+from planners.mixed_integer import Affine
+from planners.solvers import solve
 
 GAP = 0.05  # to which the smallest relaxation is found
 NEGLIGIBLE = 1e-4  # [m]
@@ -42,6 +43,7 @@ def find_relaxation(
     rho: float,
     reserves: Reserves,
     time_limit: float,
+    solver: str = "highs",
 ) -> tuple[Relaxation, ...]:
     """Return the parts of a scenario that together need the least loosening for a plan to exist.
 
@@ -55,6 +57,7 @@ def find_relaxation(
         rho: robustness that is wanted [m].
         reserves: what the plan keeps in hand.
         time_limit: wall time [s].
+        solver: of mixed-integer models.
 
     Returns:
         What to loosen, most first; nothing if no relaxation was found, or none is needed.
@@ -68,7 +71,7 @@ def find_relaxation(
             model = grid.model
             model.objective = sum(model.slacks.values(), Affine({}))
             limit = time_limit / (max_impacts + 1)
-            x = solve_apart(grid, scenario, reserves, lambda: solve_mixed_integer(model, limit, GAP).x)  # noqa: B023
+            x = solve_apart(grid, scenario, reserves, lambda: solve(model, limit, GAP, solver).x)  # noqa: B023
         except PlanningError:
             continue
         total = model.objective.value(x)

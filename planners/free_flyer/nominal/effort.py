@@ -20,8 +20,8 @@ from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.formula_rows import add_demands
 from planners.free_flyer.specification.requirement import Demands, Requirement
 from planners.free_flyer.specification.selection import Choices
-from planners.mixed_integer import Affine, Model, compute_lower_bound, evaluate
-from planners.solvers import solve
+from planners.mixed_integer import Affine, Model, evaluate
+from planners.solvers import compute_lower_bound, solve
 
 TANGENTS = 12  # perspective cuts per sign
 RELATIVE_GAP = 0.01
@@ -183,7 +183,7 @@ class EffortProblem:
 
     def relax(self, nodes: int = 0) -> tuple[float, np.ndarray | None]:
         """Return a lower bound of the effort, without the distances not added yet (see `compute_lower_bound`)."""
-        return compute_lower_bound(self.grid.model, self._find_left(), nodes)
+        return compute_lower_bound(self.grid.model, self._find_left(), nodes, self.solver)
 
     def _find_left(self) -> float:
         """Return the time left for a solution [s]."""

@@ -151,7 +151,9 @@ def make_free_flyer_plan(
     assert failure is not None
     if not isinstance(failure, Infeasible) or not ambition.thorough:
         raise failure
-    found = find_relaxation(scenario, demands, max_impacts, LEAST, smallest, min(max(budget.left, 5.0), DIAGNOSIS))
+    found = find_relaxation(
+        scenario, demands, max_impacts, LEAST, smallest, min(max(budget.left, 5.0), DIAGNOSIS), solver
+    )
     if not found:
         raise failure
     remedy = f"a plan would exist with {' and '.join(str(relaxation) for relaxation in found)}"
@@ -189,7 +191,7 @@ def maximise_robustness(
         Infeasible: no plan within max_impacts.
         SolverFailed: out of time.
     """
-    ceiling = compute_geometric_bound(scenario, demands)
+    ceiling = compute_geometric_bound(scenario, demands, budget.solver)
     problem = f"plan of {scenario.name}"
     if ceiling < LEAST:
         status = f"fixed starts, goals and areas leave a robustness of {ceiling:.3g} m at best"
@@ -256,7 +258,7 @@ def maximise_jointly(
         Infeasible: no plan within max_impacts.
         SolverFailed: out of time.
     """
-    ceiling = compute_geometric_bound(scenario, demands)
+    ceiling = compute_geometric_bound(scenario, demands, budget.solver)
     rho, pieces = ceiling, 1
     hits: list[tuple[float, Hitter]] = []
     single = replace(ambition, expected=None)

@@ -106,7 +106,7 @@ def search_words(
     """
     bound, found = 0.0, None
     if thorough:
-        bound, found = _bound_effort(scenario, demands, shape, rho, reserves, time_limit())
+        bound, found = _bound_effort(scenario, demands, shape, rho, reserves, time_limit(), solver)
     starts = [seed] if found is None else [seed, found]
     efforts: dict[Word, float] = {}
     for wish in WISHES if thorough else QUICK_WISHES:
@@ -167,11 +167,12 @@ def _bound_effort(
     rho: float,
     reserves: Reserves,
     time_limit: float,
+    solver: str,
 ) -> tuple[float, Word | None]:
     """Return a bound of the effort over all words, without distances, and the best word on the way."""
     try:
         problem = build_effort_problem(
-            scenario, demands, shape, rho, reserves, time_limit, WISHES[-1], tangents=2 * TANGENTS
+            scenario, demands, shape, rho, reserves, time_limit, WISHES[-1], solver=solver, tangents=2 * TANGENTS
         )
         nodes = NODES if sum(len(hits) for hits in problem.grid.hits) <= FEW else 0
         bound, point = problem.relax(nodes)

@@ -19,7 +19,8 @@ from planners.free_flyer.robust.zonotope_grid import build_zonotope_grid
 from planners.free_flyer.specification.formula_rows import add_demands
 from planners.free_flyer.specification.requirement import Demands, Requirement
 from planners.free_flyer.specification.selection import Choices
-from planners.mixed_integer import Model, evaluate, solve_mixed_integer
+from planners.mixed_integer import Model, evaluate
+from planners.solvers import solve
 
 TOLERANCE = 2e-3  # of the greatest deviation, relative
 ROUGH = 0.1  # the same while numbers of impacts are compared
@@ -38,7 +39,7 @@ class RobustTask:
         conditions: what a deviation refers to.
         reserves: what the plan keeps in hand.
         segments: number of segments of the paper's constant grid; None: times of impacts are free.
-        as_published: with the published code's error at the grid's last boundary.
+        solver: of mixed-integer models.
     """
 
     scenario: FreeFlyerScenario
@@ -46,7 +47,7 @@ class RobustTask:
     conditions: Conditions
     reserves: Reserves
     segments: int | None = None
-    as_published: bool = False
+    solver: str = "highs"
 
     def build(self, shape: Shape, delta: float | None) -> HullGrid:
         """Return the model of plans of a shape for a deviation [m/s], formula included.
@@ -60,7 +61,7 @@ class RobustTask:
         """Return the model, and what reads from its solutions how the formula holds in them."""
         scenario, conditions, reserves = self.scenario, self.conditions, self.reserves
         if self.segments is not None:
-            grid = build_zonotope_grid(scenario, self.segments, delta, conditions, reserves, self.as_published)
+            grid = build_zonotope_grid(scenario, self.segments, delta, conditions, reserves)
         else:
             assert delta is not None
             grid = build_hull_grid(scenario, shape.impacts, delta, conditions, reserves, shape.pieces)
@@ -179,7 +180,7 @@ def search_deviation(
     while True:
         try:
             grid = task.build(shape, target)
-            x = solve_mixed_integer(grid.model, time_limit - (time.perf_counter() - start)).x
+            x = solve(grid.model, time_limit - (time.perf_counter() - start), solver=task.solver).x
         except Infeasible:
             high = target
         except SolverFailed:
@@ -199,7 +200,7 @@ def _improve(task: RobustTask, shape: Shape, x: np.ndarray, low: float, high: fl
     while high - low > 0.5 * tolerance * low:
         middle = 0.5 * (low + high)
         try:
-            solve_mixed_integer(_fix_integers(task.build(shape, middle).model, x), np.inf)
+            solve(_fix_integers(task.build(shape, middle).model, x), np.inf, solver=task.solver)
             low = middle
         except Infeasible:
             high = middle
@@ -235,7 +236,7 @@ def compute_ceiling(task: RobustTask) -> float:
         for face, bound in zip(need.faces, need.bounds, strict=True):
             model.require(face @ center + delta * (conditions.gap * float(np.abs(face).sum())) - bound)
     model.objective = -delta
-    return -solve_mixed_integer(model, np.inf).objective
+    return -solve(model, np.inf, solver=task.solver).objective
 
 
 def _list_last_stays(demands: Demands, name: str, horizon: float) -> Iterator[Requirement]:
@@ -257,6 +258,6 @@ def _list_last_stays(demands: Demands, name: str, horizon: float) -> Iterator[Re
 def _solve_grid(task: RobustTask, segments: int, time_limit: float) -> DeviationOptimum:
     shape = Shape(segments - 1)
     grid = task.build(shape, None)
-    solution = solve_mixed_integer(grid.model, time_limit)
+    solution = solve(grid.model, time_limit, solver=task.solver)
     delta = float(evaluate(grid.delta, solution.x))
     return DeviationOptimum(shape, delta, max(delta, -solution.bound))

@@ -14,8 +14,9 @@ from planners.free_flyer.robust.box_sequence import HullSequence, make_tube, tig
 from planners.free_flyer.robust.deviation_search import RobustTask, Shape
 from planners.free_flyer.specification.requirement import Requirement
 from planners.free_flyer.specification.selection import Choices
-from planners.mixed_integer import Affine, evaluate, solve_mixed_integer
+from planners.mixed_integer import Affine, evaluate
 from planners.plan import Tube
+from planners.solvers import solve
 
 TANGENTS = 12  # perspective cuts per sign
 RELATIVE_GAP = 0.05
@@ -71,12 +72,12 @@ def minimise_robust_effort(
         _forbid(grid, word)
     if task.segments is not None:
         grid.model.objective = sum((hit for hits in grid.hits for hit in hits.values()), Affine({}))
-        fewest = solve_mixed_integer(grid.model, time_limit).x
+        fewest = solve(grid.model, time_limit, solver=task.solver).x
         shares = _add_effort(grid)
         x = np.concatenate([fewest, np.zeros(len(grid.model.lower) - len(fewest))])
         return _read_events(task, grid, choices, solve_cones(grid.model, x, shares), None)
     shares = _add_effort(grid)
-    relaxed = solve_mixed_integer(grid.model, time_limit, RELATIVE_GAP)
+    relaxed = solve(grid.model, time_limit, RELATIVE_GAP, task.solver)
     x = _solve_on_steps(task, shape, delta, grid, relaxed.x, shares)
     return _read_events(task, grid, choices, x, max(0.0, relaxed.bound))
 
@@ -110,7 +111,7 @@ def _solve_on_steps(
     for time, step in zip(stepped.times[grid.pieces : -1 : grid.pieces], np.round(times / period), strict=True):
         model.require_equal(time - model.variable(step - STEPS, step + STEPS, integer=True) * period)
     try:
-        found = solve_mixed_integer(model, np.inf, RELATIVE_GAP).x
+        found = solve(model, np.inf, RELATIVE_GAP, task.solver).x
     except Infeasible:
         status = f"no impacts on control steps within {STEPS * period:g} s of the best times"
         raise Infeasible(grid.model.name, status, "shorten the control period") from None

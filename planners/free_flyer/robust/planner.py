@@ -23,6 +23,7 @@ from planners.free_flyer.specification.requirement import read_demands
 from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
 from planners.free_flyer.validation import SUBSTEPS, compute_robustness
 from planners.plan import Plan, PlannedImpact
+from planners.solvers import check_solver
 
 HALVINGS = 2  # of the reserves, where a task leaves no room for them
 # By what legs are slower to start and stop, and room beyond contact points to come to a halt in [m], when motions
@@ -37,8 +38,8 @@ def make_impact_robust_plan(
     *,
     max_impacts: int = 6,
     time_limit: float = 60.0,
+    solver: str = "highs",
     time_grid: int | None = None,
-    as_published: bool = False,
     share: float = 0.8,
     gap: float | None = None,
     final_velocity: float | None = None,
@@ -68,9 +69,9 @@ def make_impact_robust_plan(
         scenario: one disc object and any number of robots; only believed physics are read.
         max_impacts: greatest number of impacts tried.
         time_limit: wall time for all stages [s].
+        solver: of mixed-integer models, a key of `planners.solvers.SOLVERS`.
         time_grid: number of segments of the paper's constant grid, on which boxes are taken anew at every boundary;
             implies `points`.
-        as_published: with the error of the published code, no impact at the grid's last boundary.
         share: of the greatest deviation that the plan is made for; three quarters and half of it
             are tried where motions fail.
         gap: least time between impacts and after the last one; None: that of the scenario, or of the reserves [s].
@@ -95,7 +96,8 @@ def make_impact_robust_plan(
     _check_arguments(scenario, max_impacts, time_limit, time_grid, share, runs)
     points = points or time_grid is not None
     scenario = _shrink(scenario) if points else scenario
-    budget = Budget(time_limit)
+    check_solver(solver)
+    budget = Budget(time_limit, solver)
     body = next(iter(scenario.objects.values()))
     if gap is None:
         gap = scenario.impact_gap or reserves.times(scenario.horizon)[1]
@@ -105,9 +107,7 @@ def make_impact_robust_plan(
     _check_conditions(scenario, conditions)
     _check_formula(scenario, reserves)
     for last in [False] * HALVINGS + [True]:
-        task = RobustTask(
-            scenario, read_demands(scenario, reserves.wall), conditions, reserves, time_grid, as_published
-        )
+        task = RobustTask(scenario, read_demands(scenario, reserves.wall), conditions, reserves, time_grid, solver)
         try:
             with budget.stage("deviation"):
                 optimum = maximise_deviation(task, max_impacts, time_limit - budget.elapsed)
@@ -163,7 +163,7 @@ def _finish(
         times = np.linspace(0.0, scenario.horizon, samples * SUBSTEPS + 1)
         positions = {name: curve.position(times) for name, curve in (robots | objects).items()}
         rho = compute_robustness(scenario, times, positions)
-    bound = max(rho, compute_geometric_bound(scenario, task.demands))
+    bound = max(rho, compute_geometric_bound(scenario, task.demands, task.solver))
     return Plan(
         scenario=scenario.name,
         objective="impact_uncertainty",

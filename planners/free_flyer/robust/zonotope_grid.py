@@ -19,7 +19,6 @@ def build_zonotope_grid(
     delta: float | None,
     conditions: Conditions,
     reserves: Reserves,
-    as_published: bool,
 ) -> HullGrid:
     r"""Build the model of all motions with impacts on a grid of N equal segments, for bodies without extent.
 
@@ -35,13 +34,12 @@ def build_zonotope_grid(
         delta: permissible deviation; None makes it the objective, to be maximised [m/s].
         conditions: final velocity, initial box and margin; the gap is dt.
         reserves: what the plan keeps in hand.
-        as_published: no impact at the last boundary. The published code couples it by a Python index -1 to the
-            first box, which is a point, and so forbids it.
 
     Returns:
         The grid.
 
-    Source: Verhagen & Tumova, Eqs. (16)-(20).
+    Source: Verhagen & Tumova, Eqs. (16)-(20). Their published code allows no impact at the last boundary: a Python
+    index -1 couples it to the first box, which is a point.
     """
     model = Model(f"zonotope grid of {scenario.name} with {segments} segments")
     name = next(iter(scenario.objects))
@@ -57,7 +55,7 @@ def build_zonotope_grid(
         fastest = np.full(2, body.speed_limit)
         velocities.append(Box(model.vector(-fastest, fastest), model.vector(-fastest, fastest)))
         hit = sum(grid.hits[segment - 1].values(), Affine({}))
-        model.require(hit - (0.0 if as_published and segment == segments - 1 else 1.0))
+        model.require(hit - 1.0)
         _add_segment_rows(grid, segment, step, velocities, hit)
         _add_velocity_rows(grid, scenario, segment, step, velocities[segment - 1])
     if body.rest:

@@ -9,10 +9,13 @@ from impact_envs.stl import Always, And, Distance, Eventually, Formula, Or, Pred
 from impact_envs.stl.margin import make_margin
 from planners.free_flyer.specification.negation_normal_form import Release
 from planners.free_flyer.specification.requirement import Demands, Requirement
-from planners.mixed_integer import Model, solve_mixed_integer
+from planners.mixed_integer import Model
+from planners.solvers import solve
+
+TIME_LIMIT = 10.0  # of a linear program of three variables [s]
 
 
-def compute_geometric_bound(scenario: FreeFlyerScenario, demands: Demands) -> float:
+def compute_geometric_bound(scenario: FreeFlyerScenario, demands: Demands, solver: str = "highs") -> float:
     """Return a robustness that no plan of any kind can exceed.
 
     Predicates are bounded by the best place in the world (the inradius of an area to be in), and exactly at the
@@ -21,11 +24,12 @@ def compute_geometric_bound(scenario: FreeFlyerScenario, demands: Demands) -> fl
     Args:
         scenario: world, starts and goals.
         demands: its demands.
+        solver: of the largest disc in an area.
 
     Returns:
         Upper bound of the robustness [m].
     """
-    bound = _Bound(scenario, demands)
+    bound = _Bound(scenario, demands, solver)
     values = [bound.least(formula, 0.0, 0.0) for formula in demands.conjuncts.values()]
     return min([scenario.world.diagonal, *values])
 
@@ -33,8 +37,8 @@ def compute_geometric_bound(scenario: FreeFlyerScenario, demands: Demands) -> fl
 class _Bound:
     """Bound the least and the greatest robustness of a formula over a window of time, both from above."""
 
-    def __init__(self, scenario: FreeFlyerScenario, demands: Demands) -> None:
-        self.scenario, self.demands = scenario, demands
+    def __init__(self, scenario: FreeFlyerScenario, demands: Demands, solver: str) -> None:
+        self.scenario, self.demands, self.solver = scenario, demands, solver
         self._places: dict[Predicate, float] = {}
 
     def least(self, formula: Formula, start: float, end: float) -> float:
@@ -90,7 +94,7 @@ class _Bound:
     def _best_place(self, predicate: Predicate) -> float:
         scenario, need = self.scenario, self.demands.predicates[predicate]
         if need.kind == "stay" and not need.others:
-            return _compute_inradius(scenario, need)
+            return _compute_inradius(scenario, need, self.solver)
         spans = list(zip(scenario.world.lower, scenario.world.upper, strict=True))
         ranges = {f"{name}.{axis}": spans[k] for name in need.bodies for k, axis in enumerate("xy")}
         best = make_margin(predicate, scenario.areas).range(ranges)[1]
@@ -99,7 +103,7 @@ class _Bound:
         return best
 
 
-def _compute_inradius(scenario: FreeFlyerScenario, need: Requirement) -> float:
+def _compute_inradius(scenario: FreeFlyerScenario, need: Requirement, solver: str) -> float:
     model = Model(f"inradius of {need.text}")
     point = model.vector(np.array(scenario.world.lower), np.array(scenario.world.upper))
     beyond = [face @ point - bound for face, bound in zip(need.faces, need.bounds, strict=True)]
@@ -109,4 +113,4 @@ def _compute_inradius(scenario: FreeFlyerScenario, need: Requirement) -> float:
         model.require(distance + rho)
     model.objective = -rho
     # A bound from above stays one when it is rounded up.
-    return float(np.round(-solve_mixed_integer(model, 10.0).objective + 5e-10, 9))
+    return float(np.round(-solve(model, TIME_LIMIT, solver=solver).objective + 5e-10, 9))

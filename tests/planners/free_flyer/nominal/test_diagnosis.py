@@ -7,7 +7,8 @@ from planners.errors import Infeasible
 from planners.free_flyer.nominal.diagnosis import find_relaxation
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.requirement import read_demands
-from planners.mixed_integer import Affine, Model, solve_mixed_integer
+from planners.mixed_integer import Affine, Model
+from planners.solvers import solve
 
 
 def _relaxation(name: str, values: dict, impacts: int) -> dict[str, float]:
@@ -62,6 +63,6 @@ def test_slack_loosens_all_rows_of_its_part_and_no_rigid_ones() -> None:
         model.require(12.0 - place)
         model.require(time * -1.0 + 4.0)
     model.objective = sum(model.slacks.values(), Affine({})) + time
-    x = solve_mixed_integer(model, 10.0).x
+    x = solve(model, 10.0).x
     assert model.slacks["far"].value(x) == pytest.approx(2.0)
     assert time.value(x) == pytest.approx(4.0)

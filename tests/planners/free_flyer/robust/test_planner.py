@@ -13,8 +13,8 @@ from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.robust.box_grid import Conditions
 from planners.free_flyer.robust.deviation_search import RobustTask, Shape, compute_ceiling, maximise_deviation
 from planners.free_flyer.specification.requirement import read_demands
-from planners.mixed_integer import solve_mixed_integer
 from planners.plan import Plan
+from planners.solvers import solve
 
 
 @cache
@@ -103,7 +103,7 @@ def test_scenario_says_gap_and_where_the_object_may_start() -> None:
 def test_what_bears_a_deviation_bears_half_of_it() -> None:
     task = _task("throw_and_catch", 5.0)
     optimum = maximise_deviation(task, 3, 60.0)
-    solve_mixed_integer(task.build(optimum.shape, 0.5 * optimum.delta).model, 60.0)
+    solve(task.build(optimum.shape, 0.5 * optimum.delta).model, 60.0)
 
 
 def test_bodies_with_extent_bear_no_more_than_points() -> None:
@@ -115,7 +115,7 @@ def test_bodies_with_extent_bear_no_more_than_points() -> None:
 def test_nothing_bears_more_than_the_ceiling() -> None:
     task = _task("throw_and_catch", 10.0)
     with pytest.raises(Infeasible):
-        solve_mixed_integer(task.build(Shape(2), 1.01 * compute_ceiling(task)).model, 60.0)
+        solve(task.build(Shape(2), 1.01 * compute_ceiling(task)).model, 60.0)
 
 
 @pytest.mark.slow

@@ -16,7 +16,8 @@ from planners.free_flyer.specification.formula_rows import add_demands
 from planners.free_flyer.specification.requirement import Requirement, read_demands
 from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
 from planners.free_flyer.validation import compute_robustness
-from planners.mixed_integer import Affine, evaluate, solve_mixed_integer
+from planners.mixed_integer import Affine, evaluate
+from planners.solvers import solve
 
 PERIOD = 0.005  # of dense samples [s]
 AREAS = {
@@ -69,7 +70,7 @@ def _solve(
     grid = build_event_grid(scenario, impacts, (least, max(bound, least)), Reserves(), pieces)
     choices = add_demands(grid, demands, scenario.control_period, passing)
     grid.model.objective = -grid.rho
-    x = solve_apart(grid, scenario, Reserves(), lambda: solve_mixed_integer(grid.model, seconds, 1e-4).x)
+    x = solve_apart(grid, scenario, Reserves(), lambda: solve(grid.model, seconds, 1e-4).x)
     knot_times = evaluate(grid.times, x)
     times = np.arange(round(scenario.horizon / PERIOD) + 1) * PERIOD
     positions = {}
@@ -194,7 +195,7 @@ def test_single_instants_move_with_their_knots() -> None:
     grid = build_event_grid(scenario, 2, (0.1, 0.25), Reserves(), 2)
     choices = add_demands(grid, read_demands(scenario, 0.05), scenario.control_period, passing=False)
     grid.model.objective = grid.times[2] + Affine({})
-    x = solve_mixed_integer(grid.model, 20.0).x
+    x = solve(grid.model, 20.0).x
     before = evaluate(grid.times, x)
     events = before[::2] + np.array([0.0, 0.3, 0.3, 0.0])
     after = np.interp(np.arange(7) / 2, np.arange(4), events)
@@ -212,7 +213,7 @@ def test_rows_carry_the_name_of_their_conjunct() -> None:
     add_demands(grid, read_demands(scenario, 0.05), scenario.control_period, passing=True)
     assert list(grid.model.slacks) == ["F[0,40] snap in zone", "F[0,40] crackle in sealed", "G[0,40] all not in far"]
     grid.model.objective = sum(grid.model.slacks.values(), Affine({}))
-    x = solve_mixed_integer(grid.model, 20.0).x
+    x = solve(grid.model, 20.0).x
     needed = {name: slack.value(x) for name, slack in grid.model.slacks.items()}
     # Centres stay 0.25 m off the world's edge, so right of -0.75 m.
     assert needed.pop("F[0,40] crackle in sealed") == pytest.approx(0.05)
