@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from impact_envs import load_scenario, parallel_env, vector_env
-from impact_envs.env import EFFORT_WEIGHT
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.free_flyer.step import STEP, run_tuples
 
@@ -90,7 +89,7 @@ def make_gpu(setting: Setting, batch: int, steps: int) -> Episode:
 
     from impact_envs.free_flyer.gpu import GpuBatch
 
-    worlds = GpuBatch(load_discs(setting.scenario), batch, EFFORT_WEIGHT, dtype=np.float32)
+    worlds = GpuBatch(load_discs(setting.scenario), batch, dtype=np.float32)
     rows = torch.from_numpy(make_rows(batch, 3 * setting.robots, steps)).to(worlds.device)
     actions = cut(rows.reshape(-1, setting.robots, 3), batch, steps, setting.hold)
     output = worlds.make_output(False)

@@ -12,13 +12,12 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from impact_envs.domain import find_part
+from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact
+from impact_envs.reward import compute_reward, compute_team_reward
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.shape import Shape
 from impact_envs.stl import Monitor
-
-# A full-thrust step of every actuator costs this much robustness per control period.
-EFFORT_WEIGHT = 1e-4  # [m]
 
 
 class Model(Protocol):
@@ -41,6 +40,8 @@ class Task(Protocol):
     action_spaces: Mapping[str, Box]
     observation_spaces: Mapping[str, Box]
     joint_observation_space: Box
+    layouts: Mapping[str, Layout]
+    joint_layout: Layout
     state_space: Box
 
     def reset(self, physics: Any, states: np.ndarray, rng: np.random.Generator) -> None:
@@ -82,11 +83,12 @@ class ImpactEnv(ParallelEnv):
 
     Action space: per agent ``Box(-1, 1)``, scaled to its limits inside (see the task).
 
-    Observation space: per agent a fresh float64 vector of measurements in SI units (see the task for every element).
+    Observation space: per agent a fresh float64 vector of measurements in SI units; ``task.layouts[agent]`` says what
+    stands where (``print(env.task.layouts[agent].describe())``).
 
     Rewards: the team's part, shared equally, is the change of the middle of the interval of robustness still
     possible (the online monitor's bounds, clipped to the world's diagonal), plus the robustness reached at the end;
-    each agent pays ``EFFORT_WEIGHT`` times its effort (see the task). The sum over agents is what JointEnv returns.
+    each agent pays for its effort (see `reward.py` and the task). The sum over agents is what JointEnv returns.
 
     Starting state: as the scenario says; the true physics are drawn from the reset seed.
 
@@ -195,10 +197,8 @@ class ImpactEnv(ParallelEnv):
         before, self.bounds = self.bounds, self._watch()
         self._remember()
         over = self.steps >= min(self.max_cycles, self._last)
-        (low, high), over_low = self.bounds, self.bounds[0] if over else 0.0
-        agents = self.agents
-        share = ((low + high - (before[0] + before[1])) / 2 + over_low) / len(agents)
-        rewards = {agent: share - EFFORT_WEIGHT * self.task.effort(actions[agent]) for agent in agents}
+        agents, team = self.agents, compute_team_reward(before, self.bounds, over)
+        rewards = {agent: compute_reward(team, len(agents), self.task.effort(actions[agent])) for agent in agents}
         observations, infos = self.task.observe(self.time, self.bounds), self._infos(over)
         if over:
             self.agents = []

@@ -6,12 +6,14 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from impact_envs.physics.impact import Impact
 from impact_envs.stl import Trace, robustness, satisfied
+
+if TYPE_CHECKING:  # reading a scenario does not wait for the compiler
+    from impact_envs.physics.impact import Impact
 
 
 @dataclass

@@ -209,10 +209,6 @@ class Scenario(Table):
             table[last] = value
         return build_scenario(data, source=self.name or "scenario")
 
-    def suite_names(self) -> tuple[str, ...]:
-        """Return the names of the mismatch suites this scenario can be judged under."""
-        return tuple(self._suites())
-
     def suite(self, name: str) -> Self:
         """Return the scenario with a suite's true world; what the expert believes stays.
 

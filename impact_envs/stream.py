@@ -82,43 +82,6 @@ def draw_doubles(streams: np.ndarray, worlds: np.ndarray, count: int) -> np.ndar
     return doubles
 
 
-def make_generator(stream: np.ndarray) -> np.random.Generator:
-    """Return the numpy generator that goes on where a stream is.
-
-    Args:
-        stream: one row, shape (4,) uint64.
-    """
-    high, low, inc_high, inc_low = (int(word) for word in stream)
-    bits = np.random.PCG64(0)
-    bits.state = {
-        "bit_generator": "PCG64",
-        "state": {"state": high << 64 | low, "inc": inc_high << 64 | inc_low},
-        "has_uint32": 0,
-        "uinteger": 0,
-    }
-    return np.random.Generator(bits)
-
-
-def make_stream(rng: np.random.Generator) -> np.ndarray:
-    """Return the stream that goes on where a numpy generator is.
-
-    Args:
-        rng: a generator over PCG64.
-
-    Returns:
-        One row, shape (4,) uint64.
-
-    Raises:
-        InputError: a generator of another kind.
-    """
-    bits = rng.bit_generator.state
-    if bits["bit_generator"] != "PCG64":
-        raise InputError(f"the generator runs on {bits['bit_generator']}: only PCG64 can become a stream")
-    state, inc = bits["state"]["state"], bits["state"]["inc"]
-    mask = 2**64 - 1
-    return np.array([state >> 64, state & mask, inc >> 64, inc & mask], dtype=np.uint64)
-
-
 @compiled
 def next_double(streams: np.ndarray, k: int) -> float:
     """Draw the next double of world k, ``rng.random()``.

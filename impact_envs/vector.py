@@ -12,10 +12,8 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from impact_envs.env import EFFORT_WEIGHT
+from impact_envs.domain import find_part
 from impact_envs.errors import InputError, choices
-from impact_envs.free_flyer.batch import Batch
-from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.stream import LARGEST_SEED
 
@@ -50,7 +48,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
 
     Raises:
         ScenarioError: the scenario cannot be read.
-        InputError: polygons, another domain, more worlds than fit into memory, or no such device.
+        InputError: polygons, a domain without a batched engine, more worlds than fit into memory, or no such device.
     """
 
     def __init__(
@@ -66,10 +64,11 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         device: Literal["cpu", "cuda"] = "cpu",
     ) -> None:
         loaded = load_scenario(scenario)
-        if not isinstance(loaded, FreeFlyerScenario) or loaded.engine == "pymunk" or loaded.has_polygons:
+        make_batch = find_part("impact_envs", loaded.domain, "BATCH")
+        if make_batch is None:
             raise InputError(
-                f"scenario '{loaded.name}' is not for the exact engine, which takes free-flyers and objects that are "
-                "discs; gymnasium.vector.SyncVectorEnv runs every scenario"
+                f"scenario '{loaded.name}': domain '{loaded.domain}' has no batched engine; "
+                "gymnasium.vector.SyncVectorEnv runs every scenario"
             )
         if dtype not in DTYPES:
             raise InputError(f"dtype '{dtype}' is unknown; {choices(dtype, DTYPES)}")
@@ -85,14 +84,8 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
                 raise InputError(f"{name} = {number}: a whole number from 1 is needed")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.autoreset_mode}
-        self.batch: Any
-        if device == "cuda":
-            from impact_envs.free_flyer.gpu import GpuBatch
-
-            self.batch = GpuBatch(loaded, num_envs, EFFORT_WEIGHT, max_cycles, DTYPES[dtype])
-        else:
-            threads = threads or len(os.sched_getaffinity(0))
-            self.batch = Batch(loaded, num_envs, EFFORT_WEIGHT, max_cycles, DTYPES[dtype], threads)
+        threads = threads or len(os.sched_getaffinity(0))
+        self.batch: Any = make_batch(loaded, num_envs, max_cycles, DTYPES[dtype], threads, device)
         size = self.batch.joint_size
         self.single_observation_space = Box(-np.inf, np.inf, (size,), DTYPES[dtype])
         self.single_action_space = Box(-1.0, 1.0, (3 * self.batch.robots,), np.float32)
@@ -281,7 +274,7 @@ def vector_env(scenario: str | Path | Scenario, num_envs: int = 1, **options: An
 
     Raises:
         ScenarioError: the scenario cannot be read.
-        InputError: polygons, another domain, or more worlds than fit into memory.
+        InputError: polygons, a domain without a batched engine, or more worlds than fit into memory.
     """
     return ImpactVectorEnv(scenario, num_envs, **options)
 

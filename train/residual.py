@@ -33,6 +33,7 @@ from agents.residual import TRAINING_SEEDS, ResidualEnv, ResidualPolicy
 from agents.sb3 import Model, export_actor, load_training, read_training, save_training, start_at_expert
 from impact_envs.env import parallel_env
 from impact_envs.errors import InputError
+from impact_envs.reward import compute_potential
 from impact_envs.rollout import Policy, rollout
 from impact_envs.scenario import Scenario, load_scenario
 from planners import has_planner, make_expert, make_plan
@@ -207,7 +208,7 @@ class DecidedEnds(gymnasium.Wrapper[np.ndarray, np.ndarray, np.ndarray, np.ndarr
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode."""
         features, info = self.env.reset(seed=seed, options=options)
-        self._known = sum(cast(ResidualEnv, self.unwrapped).parallel.bounds) / 2
+        self._known = compute_potential(*cast(ResidualEnv, self.unwrapped).parallel.bounds)
         return features, info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:

@@ -10,11 +10,13 @@ from gymnasium.spaces import Box
 
 from impact_envs.dual_arm.arm import compute_pose
 from impact_envs.dual_arm.model import FORCES, JOINTS, KEPT, RATES, WIDTH
+from impact_envs.dual_arm.observation import ARM, make_joint_layout, make_layout
 from impact_envs.dual_arm.schema import DualArmScenario, Physics
+from impact_envs.observation import make_unbounded_space
 from impact_envs.physics.impact import Impact
+from impact_envs.reward import compute_effort
 from impact_envs.shape import Shape
 
-ARM_SIZE = 15  # of what is measured of one arm
 MOTION = slice(0, 6)
 # Effort is counted per tenth of a second, however short the control period: the weight of effort then means the same.
 EFFORT_PERIOD = 0.1  # [s]
@@ -39,11 +41,13 @@ class DualArmTask:
         self._limits = scenario.links.torque_limits
         self._arms = scenario.arm_numbers()
         self._signals = [f"{body}.{name}" for body in scenario.bodies for name in scenario.signals]
-        self._measured = np.zeros((2, ARM_SIZE))
+        self._measured = np.zeros((2, ARM.size))
+        self.joint_layout = make_joint_layout(scenario)
+        self.layouts = dict.fromkeys(scenario.agents, make_layout())
         self.action_spaces = {name: Box(-1.0, 1.0, (3,), np.float32) for name in scenario.agents}
-        self.observation_spaces = {name: _unbounded(2 * ARM_SIZE + 1) for name in scenario.agents}
-        self.joint_observation_space = _unbounded(2 * ARM_SIZE + 1)
-        self.state_space = _unbounded(WIDTH * len(scenario.bodies) + 1)
+        self.observation_spaces = {name: layout.make_space() for name, layout in self.layouts.items()}
+        self.joint_observation_space = self.joint_layout.make_space()
+        self.state_space = make_unbounded_space(WIDTH * len(scenario.bodies) + 1)
 
     def reset(self, physics: Physics, states: np.ndarray, rng: np.random.Generator) -> None:
         """Start an episode.
@@ -66,11 +70,7 @@ class DualArmTask:
 
     def effort(self, action: np.ndarray) -> float:
         """Return an arm's effort in one control period, in [0, 1] where that is at most 0.1 s."""
-        total = 0.0  # plain numbers: arrays of three cost more
-        for u in action:
-            clipped = min(max(float(u), -1.0), 1.0)
-            total += clipped * clipped
-        return total / len(action) * self.scenario.control_period / EFFORT_PERIOD
+        return compute_effort(np.asarray(action, dtype=float)) * self.scenario.control_period / EFFORT_PERIOD
 
     def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
         """Return what the joints spent in one control period: sum of |tau| dt over all of them [N m s]."""
@@ -85,8 +85,8 @@ class DualArmTask:
         """
         for row, state in zip(self._measured, states[:2], strict=True):
             x, y, vx, vy, heading, omega = state[MOTION].tolist()
-            row[0:3], row[3:6], row[6:8] = state[JOINTS], state[RATES], state[FORCES]
-            row[8:] = x, y, math.cos(heading), math.sin(heading), vx, vy, omega
+            row[ARM["angles"]], row[ARM["rates"]], row[ARM["forces"]] = state[JOINTS], state[RATES], state[FORCES]
+            row[ARM["pad"]] = x, y, math.cos(heading), math.sin(heading), vx, vy, omega
 
     def observe(self, time: float, bounds: tuple[float, float]) -> dict[str, np.ndarray]:
         """Return each arm's observation.
@@ -155,7 +155,3 @@ class DualArmTask:
 
 def _rectangle(x0: float, y0: float, x1: float, y1: float) -> tuple[tuple[float, float], ...]:
     return ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
-
-
-def _unbounded(size: int) -> Box:
-    return Box(-np.inf, np.inf, (size,), np.float64)

@@ -29,6 +29,7 @@ from impact_envs.physics.impact import (
     compute_impulse,
     compute_planar_jacobian,
     compute_restitution,
+    is_rebound,
 )
 from impact_envs.physics.multibody import (
     compute_directions,
@@ -38,8 +39,7 @@ from impact_envs.physics.multibody import (
     compute_momenta,
 )
 
-# An impact is the start of pushing when it is slower than this [m/s], or when the tip is pressed on so hard that even
-# the full rebound would end within this time [s]: without such a rule, bounces crowd without end.
+# An impact slower than this [m/s], or whose rebound would end within this time [s], is the start of pushing.
 LOW_SPEED, CONTACT_TIME = 1e-6, 0.005
 EVENTS = 1000  # in one control period; more means the rule above has failed
 
@@ -128,11 +128,6 @@ class FloatingManipulatorModel:
     def gap(self) -> float:
         """Return the distance between tip and box [m]."""
         return float(find_contact(self._system, self._q, self._v, self._scratch).gap)
-
-    @property
-    def pushing(self) -> bool:
-        """Return whether the tip pushes the box."""
-        return self._touching
 
     def coordinates(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the manipulator's coordinates (base x, y, psi, joints) and rates, shape (n + 3,) each."""
@@ -233,7 +228,7 @@ class FloatingManipulatorModel:
         contact = find_contact(self._system, self._q, self._v, self._scratch)
         press = -compute_opening(self._system, self._force, self._q, self._v, self._scratch)
         speed = -contact.rate
-        rebounds = speed > max(LOW_SPEED, press * CONTACT_TIME / 2)
+        rebounds = is_rebound(speed, press, LOW_SPEED, CONTACT_TIME)
         physics = self.physics
         e = compute_restitution(speed, physics.restitution, physics.restitution_speed) if rebounds else 0.0
         normal = np.array([-contact.nx, -contact.ny])

@@ -5,15 +5,31 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
+from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact
 
 FELT_SPEED = 1e-3  # slower impacts are not felt [m/s]
-BOX_SIZE, TAIL_SIZE = 7, 4  # elements of the box, and of contact, time and robustness
+
+
+class Places(NamedTuple):
+    """Where each field of an observation begins; the names are those of the layout's fields."""
+
+    base: int
+    joints: int
+    base_rates: int
+    joint_rates: int
+    tip: int
+    box: int
+    contact: int
+    time: int
+    robustness: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +51,34 @@ class Measurement:
     box: np.ndarray
 
 
+def make_layout(scenario: FloatingManipulatorScenario) -> Layout:
+    """Return the layout of an observation, which is the same for both agents."""
+    return _make_layout(tuple(scenario.links))
+
+
+@cache
+def _make_layout(links: tuple[str, ...]) -> Layout:
+    return Layout(
+        ("base", ("x [m]", "y [m]", "cos(psi)", "sin(psi)")),
+        ("joints", [f"angle of {name} [rad]" for name in links]),
+        ("base_rates", ("vx [m/s]", "vy [m/s]", "dpsi/dt [rad/s]")),
+        ("joint_rates", [f"rate of {name} [rad/s]" for name in links]),
+        ("tip", ("x - goal [m]", "y - goal [m]", "vx [m/s]", "vy [m/s]")),
+        ("box", ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "cos(heading)", "sin(heading)", "omega [rad/s]")),
+        ("contact", ("the arm felt an impact in the last step, 0 or 1",)),
+        ("time", ("time / horizon",)),
+        ("robustness", ("robustness_lower", "robustness_upper")),
+    )
+
+
+def find_places(layout: Layout) -> Places:
+    """Return where the fields begin, for compiled functions."""
+    return Places(*(layout[name].start for name in Places._fields))
+
+
 def observation_size(scenario: FloatingManipulatorScenario) -> int:
     """Return the length of an observation vector, for n joints 2 n + 22."""
-    return 2 * len(scenario.links) + 11 + BOX_SIZE + TAIL_SIZE
+    return make_layout(scenario).size
 
 
 def select_felt(impacts: Sequence[Impact]) -> list[Impact]:
@@ -51,31 +92,34 @@ def select_felt(impacts: Sequence[Impact]) -> list[Impact]:
 
 @njit(cache=True)
 def write_observation(
-    states: np.ndarray, contact: bool, fraction: float, bounds: tuple[float, float], vector: np.ndarray
+    states: np.ndarray, contact: bool, fraction: float, bounds: tuple[float, float], at: Places, vector: np.ndarray
 ) -> None:
-    """Write one observation (see the task for every element).
+    """Write one observation (see `make_layout` for every element).
 
     Args:
         states: rows x, y, vx, vy, heading, omega of base, n links, tip, box, target, shape (n + 4, 6).
         contact: an impact was felt.
         fraction: time / horizon.
         bounds: interval of robustness still possible.
+        at: where the fields begin.
         vector: result, shape (2 n + 22,).
     """
     n = len(states) - 4
     base, tip, box, target = states[0], states[n + 1], states[n + 2], states[n + 3]
-    vector[0], vector[1], vector[2], vector[3] = base[0], base[1], math.cos(base[4]), math.sin(base[4])
+    k = at.base
+    vector[k], vector[k + 1], vector[k + 2], vector[k + 3] = base[0], base[1], math.cos(base[4]), math.sin(base[4])
     for i in range(n):
-        vector[4 + i] = states[1 + i, 4] - states[i, 4]
-        vector[n + 7 + i] = states[1 + i, 5] - states[i, 5]
-    vector[n + 4], vector[n + 5], vector[n + 6] = base[2], base[3], base[5]
-    k = 2 * n + 7
+        vector[at.joints + i] = states[1 + i, 4] - states[i, 4]
+        vector[at.joint_rates + i] = states[1 + i, 5] - states[i, 5]
+    k = at.base_rates
+    vector[k], vector[k + 1], vector[k + 2] = base[2], base[3], base[5]
+    k = at.tip
     vector[k], vector[k + 1], vector[k + 2], vector[k + 3] = tip[0] - target[0], tip[1] - target[1], tip[2], tip[3]
-    k += 4
+    k = at.box
     vector[k], vector[k + 1], vector[k + 2], vector[k + 3] = box[0], box[1], box[2], box[3]
     vector[k + 4], vector[k + 5], vector[k + 6] = math.cos(box[4]), math.sin(box[4]), box[5]
-    k += BOX_SIZE
-    vector[k], vector[k + 1], vector[k + 2], vector[k + 3] = 1.0 if contact else 0.0, fraction, bounds[0], bounds[1]
+    vector[at.contact], vector[at.time] = 1.0 if contact else 0.0, fraction
+    vector[at.robustness], vector[at.robustness + 1] = bounds[0], bounds[1]
 
 
 def read_observations(scenario: FloatingManipulatorScenario, observations: Mapping[str, np.ndarray]) -> Measurement:
@@ -88,11 +132,11 @@ def read_observations(scenario: FloatingManipulatorScenario, observations: Mappi
     Returns:
         The measurement of this control step; psi and the box's heading lie in [-pi, pi].
     """
-    vector, n = next(iter(observations.values())), len(scenario.links)
-    x, y, cos, sin = vector[:4]
-    q = np.array([x, y, math.atan2(sin, cos), *vector[4 : n + 4]])
-    contact, fraction = vector[-TAIL_SIZE], vector[1 - TAIL_SIZE]
-    box_x, box_y, box_vx, box_vy, box_cos, box_sin, omega = vector[2 * n + 11 : 2 * n + 11 + BOX_SIZE]
+    vector, layout = next(iter(observations.values())), make_layout(scenario)
+    x, y, cos, sin = vector[layout["base"]]
+    q = np.array([x, y, math.atan2(sin, cos), *vector[layout["joints"]]])
+    v = np.concatenate([vector[layout["base_rates"]], vector[layout["joint_rates"]]])
+    box_x, box_y, box_vx, box_vy, box_cos, box_sin, omega = vector[layout["box"]]
     box = np.array([box_x, box_y, math.atan2(box_sin, box_cos), box_vx, box_vy, omega])
-    v = vector[n + 4 : 2 * n + 7].copy()
+    (contact,), (fraction,) = vector[layout["contact"]], vector[layout["time"]]
     return Measurement(float(fraction) * scenario.horizon, q, v, bool(contact > 0.5), box)

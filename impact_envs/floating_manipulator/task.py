@@ -10,10 +10,12 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from impact_envs.floating_manipulator.actuation import compute_forces
-from impact_envs.floating_manipulator.observation import observation_size, select_felt, write_observation
+from impact_envs.floating_manipulator.observation import find_places, make_layout, select_felt, write_observation
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
+from impact_envs.observation import make_unbounded_space
 from impact_envs.physics.impact import Impact
 from impact_envs.physics.multibody import compute_directions, compute_momenta
+from impact_envs.reward import compute_effort
 from impact_envs.shape import Shape
 from impact_envs.stl import SIGNALS, Distance
 
@@ -53,9 +55,12 @@ class FloatingManipulatorTask:
         self._names = [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS] + list(scenario.extra_signals)
         self._w, self._rates = np.zeros((self._n + 1, 2)), np.zeros(self._n + 1)
         self.action_spaces = {agent: Box(-1.0, 1.0, limit.shape, np.float32) for agent, limit in self._limits.items()}
-        self.joint_observation_space = _unbounded(observation_size(scenario))
+        self.joint_layout = make_layout(scenario)
+        self.layouts = dict.fromkeys(scenario.agents, self.joint_layout)
+        self._places = find_places(self.joint_layout)
+        self.joint_observation_space = self.joint_layout.make_space()
         self.observation_spaces = dict.fromkeys(scenario.agents, self.joint_observation_space)
-        self.state_space = _unbounded(6 * len(scenario.bodies) + 1)
+        self.state_space = make_unbounded_space(6 * len(scenario.bodies) + 1)
 
     def reset(self, physics: Physics, states: np.ndarray, rng: np.random.Generator) -> None:
         """Start an episode.
@@ -81,9 +86,8 @@ class FloatingManipulatorTask:
         return controls
 
     def effort(self, action: np.ndarray) -> float:
-        """Return an agent's effort in one control period: mean square of its action, in [0, 1]."""
-        clipped = [min(max(float(u), -1.0), 1.0) for u in action]
-        return sum(u * u for u in clipped) / len(clipped)
+        """Return an agent's effort in one control period (see `compute_effort`), in [0, 1]."""
+        return compute_effort(np.asarray(action, dtype=float))
 
     def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
         """Return the thrusters' propulsion in one control period: sum of |F| dt over the axes [N s]."""
@@ -123,7 +127,7 @@ class FloatingManipulatorTask:
         """Return the observation, which is each agent's too."""
         vector = np.empty(self.joint_observation_space.shape)
         states, contact = self._measured[0]
-        write_observation(states, contact, time / self.scenario.horizon, bounds, vector)
+        write_observation(states, contact, time / self.scenario.horizon, bounds, self._places, vector)
         return vector
 
     def signals(self, states: np.ndarray) -> dict[str, float]:
@@ -193,10 +197,6 @@ class FloatingManipulatorTask:
         if self._noise.any():
             measured[:-1] += self._noise * self._rng.standard_normal((len(states) - 1, 6))
         self._measured.append((measured, contact))
-
-
-def _unbounded(size: int) -> Box:
-    return Box(-np.inf, np.inf, (size,), np.float64)
 
 
 def _rectangle(length: float, width: float) -> tuple[tuple[float, float], ...]:

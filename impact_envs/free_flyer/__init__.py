@@ -3,3 +3,4 @@
 SCHEMA = "impact_envs.free_flyer.schema:FreeFlyerScenario"
 MODEL = "impact_envs.free_flyer.disc_model:make_model"
 TASK = "impact_envs.free_flyer.task:FreeFlyerTask"
+BATCH = "impact_envs.free_flyer.batch:make_batch"

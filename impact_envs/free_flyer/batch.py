@@ -10,10 +10,10 @@ from typing import Any, cast
 import numpy as np
 
 from impact_envs.compiled import announce
+from impact_envs.domain import load_attribute
 from impact_envs.errors import InputError
-from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from impact_envs.free_flyer.sensing import Sensing, compute_memory_size
+from impact_envs.free_flyer.sensing import compute_memory_size, make_sensing
 from impact_envs.free_flyer.step import (
     LEAVE,
     START,
@@ -26,33 +26,64 @@ from impact_envs.free_flyer.step import (
 )
 from impact_envs.free_flyer.task import SIGNALS, FreeFlyerTask
 from impact_envs.free_flyer.worlds import (
-    DRIFT_X,
     HITS,
-    INERTIA,
-    MASS,
-    OFFSET_X,
     OVERFLOW,
-    OWED,
     ROW,
-    SINCE,
     STEPS,
     Worlds,
     make_arena,
     make_scratch,
     make_worlds,
+    write_physics,
 )
-from impact_envs.scenario import Quantity, Uniform
 from impact_envs.stl.program import make_program, memory_size
 from impact_envs.stream import draw_doubles, seed_streams
 
 
-class Batch:
+class BatchViews:
+    """What can be seen of N worlds, as arrays or, on a GPU, as tensors."""
+
+    _worlds: Any
+    _memory: Any
+    _last: int
+
+    @property
+    def steps(self) -> Any:
+        """Return the control periods since each world's reset, shape (N,)."""
+        return self._worlds.counter[:, STEPS]
+
+    @property
+    def impacts(self) -> Any:
+        """Return the number of impacts in each world's last control period, shape (N,)."""
+        return self._worlds.counter[:, HITS]
+
+    @property
+    def overflow(self) -> Any:
+        """Return how many control periods since reset had more events than are followed, shape (N,)."""
+        return self._worlds.counter[:, OVERFLOW]
+
+    @property
+    def bounds(self) -> Any:
+        """Return the interval of robustness still possible, shape (N, 2) [m]."""
+        return self._memory.bounds
+
+    @property
+    def states(self) -> Any:
+        """Return the true states, shape (N, bodies, 6); as ``DiscModel.state``."""
+        return self._memory.states
+
+    @property
+    def over(self) -> Any:
+        """Return which episodes are at their end, shape (N,)."""
+        return self.steps >= self._last
+
+
+class Batch(BatchViews):
     """N worlds of a scenario of discs; world k is ImpactEnv with seed k's stream, bit for bit in float64.
 
     Args:
         scenario: whose engine is the exact one.
         count: N.
-        effort: robustness that full thrust costs (``env.EFFORT_WEIGHT``) [m].
         max_cycles: truncate earlier than the horizon [control periods].
         dtype: of what is stored and returned; arithmetic is float64.
         threads: that share the worlds.
@@ -65,7 +96,6 @@ class Batch:
         self,
         scenario: FreeFlyerScenario,
         count: int,
-        effort: float,
         max_cycles: int | None = None,
         dtype: type = np.float64,
         threads: int = 1,
@@ -74,9 +104,6 @@ class Batch:
         self.scenario, self.count, self.dtype = scenario, count, dtype
         task = FreeFlyerTask(scenario)
         arena, _ = make_arena(scenario)
-        true = scenario.true
-        shifts = any(not _is(quantity, 0.0) for quantity in (true.center_of_mass_offset, true.drift))
-        gains = any(not _is(quantity, 1.0) for quantity in (true.thruster_gain, true.weak_thruster))
         self._program = make_program(
             scenario.specification,
             scenario.control_period,
@@ -85,18 +112,15 @@ class Batch:
             [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS],
             task.signal_bounds(),
         )
-        self._sensing = Sensing(
-            float(scenario.control_period), float(true.position_noise), true.velocity_measured, true.delay_steps
-        )
-        steps = scenario.steps if max_cycles is None else min(max_cycles, scenario.steps)
-        self._rules = Rules(float(scenario.horizon), steps, scenario.world.diagonal, effort, scenario.starts[None])
+        self._sensing = make_sensing(scenario.control_period, scenario.true)
+        self._last = scenario.steps if max_cycles is None else min(max_cycles, scenario.steps)
+        self._rules = Rules(float(scenario.horizon), self._last, scenario.world.diagonal, scenario.starts[None])
         self.robots, self.bodies = len(scenario.robots), len(scenario.bodies)
-        self.joint_size = BODY_SIZE * self.bodies + self.robots + TAIL_SIZE - 1
-        self.agent_size = BODY_SIZE * self.bodies + TAIL_SIZE
+        self.joint_size, self.agent_size = task.joint_layout.size, task.layouts[scenario.agents[0]].size
         self._arena, self._scratch = arena, make_scratch(arena, min(threads, count))
-        arrays = [array for group in self._make_worlds(1, shifts, gains) for array in group]
+        arrays = [array for group in self._make_worlds(1) for array in group]
         check_size(count, sum({array.ctypes.data: array.nbytes for array in arrays}.values()))
-        self._worlds, self._memory = self._make_worlds(count, shifts, gains)
+        self._worlds, self._memory = self._make_worlds(count)
         self._log = np.zeros((count, 0, ROW))
         shared = (self._program, self._sensing, self._rules, self._memory)
         self._arrays: tuple[Any, ...] = (
@@ -107,36 +131,6 @@ class Batch:
         self._threads = len(self._scratch.motion)
         self._pool: ThreadPoolExecutor | None = None
         self._todo = np.zeros(count, np.int64)
-
-    @property
-    def steps(self) -> np.ndarray:
-        """Return the control periods since each world's reset, shape (N,)."""
-        return self._worlds.counter[:, STEPS]
-
-    @property
-    def impacts(self) -> np.ndarray:
-        """Return the number of impacts in each world's last control period, shape (N,)."""
-        return self._worlds.counter[:, HITS]
-
-    @property
-    def overflow(self) -> np.ndarray:
-        """Return how many control periods since reset had more events than are followed, shape (N,)."""
-        return self._worlds.counter[:, OVERFLOW]
-
-    @property
-    def bounds(self) -> np.ndarray:
-        """Return the interval of robustness still possible, shape (N, 2) [m]."""
-        return self._memory.bounds
-
-    @property
-    def states(self) -> np.ndarray:
-        """Return the true states, shape (N, bodies, 6); as ``DiscModel.state``."""
-        return self._memory.states
-
-    @property
-    def over(self) -> np.ndarray:
-        """Return which episodes are at their end, shape (N,)."""
-        return self.steps >= self._rules.last
 
     def seed(self, worlds: np.ndarray, seeds: Sequence[int] | np.ndarray) -> None:
         """Start the random streams of some worlds.
@@ -231,18 +225,11 @@ class Batch:
     def _draw(self, worlds: np.ndarray) -> None:
         if len(worlds) == 0:
             return
-        drawn = self.scenario.draw_many(draw_doubles(self._memory.streams, worlds, self.scenario.draw_count))
-        body = self._worlds.body
-        body[worlds, :, MASS], body[worlds, :, INERTIA] = drawn.masses, drawn.inertias
-        if body.shape[2] > OFFSET_X:
-            body[worlds, :, OFFSET_X:DRIFT_X], body[worlds, :, DRIFT_X:SINCE] = drawn.center_of_mass, drawn.drift
-        if self._worlds.thruster.shape[1]:
-            self._worlds.thruster[worlds, :, :OWED] = drawn.thruster_gain.reshape(len(worlds), self.robots, 6)
-        contact = (drawn.restitution, drawn.restitution_speed, drawn.friction)
-        self._worlds.contact[worlds] = np.stack(contact, axis=1)
+        uniforms = draw_doubles(self._memory.streams, worlds, self.scenario.draw_count)
+        write_physics(self._worlds, worlds, self.scenario.draw_many(uniforms))
 
-    def _make_worlds(self, count: int, shifts: bool, gains: bool) -> tuple[Worlds, Memory]:
-        n, r, sensing, dtype = self.bodies, self.robots, self._sensing, self.dtype
+    def _make_worlds(self, count: int) -> tuple[Worlds, Memory]:
+        n, r, sensing, dtype, true = self.bodies, self.robots, self._sensing, self.dtype, self.scenario.true
         states: np.ndarray = np.zeros((count, n, 6), dtype)
         contacts: np.ndarray = np.zeros((count, r), dtype)
         kept = compute_memory_size(sensing, n, r)
@@ -259,7 +246,39 @@ class Batch:
             monitor=np.zeros((count, memory_size(self._program)), dtype),
             bounds=np.zeros((count, 2), dtype),
         )
-        return make_worlds(self._arena, count, shifts, gains, dtype), memory
+        return make_worlds(self._arena, count, true.moves_bodies, true.changes_thrusters, dtype), memory
+
+
+def make_batch(
+    scenario: FreeFlyerScenario,
+    count: int,
+    max_cycles: int | None = None,
+    dtype: type = np.float64,
+    threads: int = 1,
+    device: str = "cpu",
+) -> Any:
+    """Make N worlds of a scenario: a `Batch`, or on a GPU a `GpuBatch`.
+
+    Args:
+        scenario: of discs, for the exact engine.
+        count: N.
+        max_cycles: truncate earlier than the horizon [control periods].
+        dtype: of what is stored and returned.
+        threads: that share the worlds on the CPU.
+        device: ``cpu`` or ``cuda``.
+
+    Raises:
+        InputError: polygons, the other engine, or what the batch itself refuses.
+    """
+    if scenario.engine == "pymunk" or scenario.has_polygons:
+        raise InputError(
+            f"scenario '{scenario.name}' is not for the exact engine, which takes free-flyers and objects that are "
+            "discs; gymnasium.vector.SyncVectorEnv runs every scenario"
+        )
+    if device == "cpu":
+        return Batch(scenario, count, max_cycles, dtype, threads)
+    make_gpu_batch = load_attribute("impact_envs.free_flyer.gpu:GpuBatch")  # by name, because it is made of a Batch
+    return make_gpu_batch(scenario, count, max_cycles, dtype)
 
 
 def check_size(count: int, size: int) -> None:
@@ -275,8 +294,3 @@ def check_size(count: int, size: int) -> None:
         raise InputError(
             f"num_envs = {count}: {size} bytes per world; half of this machine's memory holds {fits} worlds"
         )
-
-
-def _is(quantity: Quantity, value: float) -> bool:
-    """Return whether a quantity is this number in all worlds."""
-    return not isinstance(quantity, Uniform) and quantity == value

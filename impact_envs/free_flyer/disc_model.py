@@ -12,21 +12,16 @@ from impact_envs.free_flyer.engine import EVENTS, step_alone
 from impact_envs.free_flyer.model import FreeFlyerModel
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
 from impact_envs.free_flyer.worlds import (
-    DRIFT_X,
     HITS,
-    INERTIA,
     LIMIT,
-    MASS,
-    OFFSET_X,
     OVERFLOW,
-    OWED,
     ROW,
-    SINCE,
     STEPS,
     make_arena,
     make_scratch,
     make_worlds,
     read_states,
+    write_physics,
     write_states,
 )
 from impact_envs.physics.impact import Impact
@@ -65,16 +60,10 @@ class DiscModel:
             physics: the drawn numbers of one episode.
         """
         self.physics = physics
-        names = self.scenario.bodies
-        self._arena = self._arena._replace(on_off=physics.thruster_on_off)
+        self._arena = self._arena._replace(on_off=physics.true.thruster_on_off)
         worlds = self._worlds = make_worlds(self._arena, 1, shifts=True, gains=True)
-        worlds.body[0, :, MASS] = [physics.masses[name] for name in names]
-        worlds.body[0, :, INERTIA] = [physics.inertias[name] for name in names]
-        worlds.body[0, :, OFFSET_X:DRIFT_X] = [physics.center_of_mass.get(name, (0.0, 0.0)) for name in names]
-        worlds.body[0, :, DRIFT_X:SINCE] = [physics.drift.get(name, (0.0, 0.0)) for name in names]
-        worlds.thruster[0, :, :OWED] = [physics.thruster_gain[name].ravel() for name in self.scenario.robots]
-        worlds.contact[0] = physics.restitution, physics.restitution_speed, physics.friction
-        self._states = np.empty_like(worlds.state)
+        write_physics(worlds, 0, physics)
+        self._states = np.empty((1, len(self.scenario.bodies), 6))
         self._arrays = (*self._arena, *worlds, *self._scratch, self._log)
         self.set_state(self.scenario.starts)
 

@@ -10,27 +10,22 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
-from impact_envs.free_flyer.contact_rules import CONTACT_STEP, REST_GAP, SIMULTANEOUS
 from impact_envs.free_flyer.hits import hit
+from impact_envs.free_flyer.pair import CONTACT_STEP, REST_GAP, SIMULTANEOUS
 from impact_envs.free_flyer.resting import clear_rest, find_resting, hold
+from impact_envs.free_flyer.schema import DRIFT_X, DRIFT_Y, INERTIA, MASS, OFFSET_X, OFFSET_Y
 from impact_envs.free_flyer.touch import find_touch
 from impact_envs.free_flyer.worlds import (
     ACCELERATION,
-    DRIFT_X,
-    DRIFT_Y,
     FELT,
     HELD,
     HITS,
-    INERTIA,
     LIMIT,
     LINE_VX,
     LINE_VY,
     LINE_X,
     LINE_Y,
-    MASS,
     NEAR,
-    OFFSET_X,
-    OFFSET_Y,
     OVERFLOW,
     OWED,
     RADIUS,
@@ -66,8 +61,8 @@ def step_world(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, 
     n = arena.discs.shape[0]
     worlds.counter[k, HITS] = 0
     for i in range(n):
-        felt = worlds.body[k, i, FELT] > 0.0
-        worlds.body[k, i, FELT] = 0.0
+        felt = worlds.state[k, i, FELT] > 0.0
+        worlds.state[k, i, FELT] = 0.0
         if i < arena.robots:
             actuate(arena, worlds, scratch, c, k, i)
         else:

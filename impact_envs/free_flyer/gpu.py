@@ -19,23 +19,10 @@ from numba import config, cuda, float64, int64, typeof, types
 
 from impact_envs.compiled import retarget
 from impact_envs.errors import InputError
-from impact_envs.free_flyer.batch import Batch, check_size
+from impact_envs.free_flyer.batch import Batch, BatchViews, check_size
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.free_flyer.step import LEAVE, START, STEP, Memory, Output, run_range
-from impact_envs.free_flyer.worlds import (
-    DRIFT_X,
-    HITS,
-    INERTIA,
-    MASS,
-    OFFSET_X,
-    OVERFLOW,
-    OWED,
-    REST,
-    SINCE,
-    STEPS,
-    Scratch,
-    Worlds,
-)
+from impact_envs.free_flyer.worlds import REST, Scratch, Worlds, write_physics
 from impact_envs.stream import draw_doubles, seed_streams
 
 # numba's simulator runs the kernels as plain Python on arrays in main memory (NUMBA_ENABLE_CUDASIM=1).
@@ -46,7 +33,7 @@ MOST_BODIES, MOST_PAIRS = 12, 256
 THREADS = 64  # per block
 
 
-class GpuBatch:
+class GpuBatch(BatchViews):
     """N worlds of a scenario of discs on the GPU that CUDA counts as 0, with what ``Batch`` offers on the CPU.
 
     What it takes and returns are torch tensors there; nothing is copied but the physics drawn for worlds that start.
@@ -55,7 +42,6 @@ class GpuBatch:
     Args:
         scenario: whose engine is the exact one.
         count: N.
-        effort: robustness that full thrust costs (``env.EFFORT_WEIGHT``) [m].
         max_cycles: truncate earlier than the horizon [control periods].
         dtype: of what is stored and returned, float64 or float32; arithmetic is float64.
 
@@ -68,14 +54,14 @@ class GpuBatch:
         self,
         scenario: FreeFlyerScenario,
         count: int,
-        effort: float,
         max_cycles: int | None = None,
         dtype: type = np.float64,
     ) -> None:
         check_gpu()
         self.scenario, self.count = scenario, count
         self.device = torch.device("cpu" if SIMULATED else "cuda:0")
-        self._host = host = Batch(scenario, 1, effort, max_cycles, dtype)
+        self._host = host = Batch(scenario, 1, max_cycles, dtype)
+        self._last = host._last
         self.robots, self.bodies = host.robots, host.bodies
         self.joint_size, self.agent_size = host.joint_size, host.agent_size
         pairs, columns = len(host._arena.pairs), (host._scratch.motion.shape[2], host._scratch.contacts.shape[2])
@@ -95,36 +81,6 @@ class GpuBatch:
         self._kernel = make_kernel(kinds, self.bodies, pairs, *columns)
         self._arena, *self._shared = (self._upload(arrays) for arrays in (host._arena, *shared))
         self._kept = _replace_arrays(self._worlds, _hand_over), _replace_arrays(self._memory, _hand_over)
-
-    @property
-    def steps(self) -> torch.Tensor:
-        """Return the control periods since each world's reset, shape (N,)."""
-        return self._worlds.counter[:, STEPS]
-
-    @property
-    def impacts(self) -> torch.Tensor:
-        """Return the number of impacts in each world's last control period, shape (N,)."""
-        return self._worlds.counter[:, HITS]
-
-    @property
-    def overflow(self) -> torch.Tensor:
-        """Return how many control periods since reset had more events than are followed, shape (N,)."""
-        return self._worlds.counter[:, OVERFLOW]
-
-    @property
-    def bounds(self) -> torch.Tensor:
-        """Return the interval of robustness still possible, shape (N, 2) [m]."""
-        return self._memory.bounds
-
-    @property
-    def states(self) -> torch.Tensor:
-        """Return the true states, shape (N, bodies, 6); as ``DiscModel.state``."""
-        return self._memory.states
-
-    @property
-    def over(self) -> torch.Tensor:
-        """Return which episodes are at their end, shape (N,)."""
-        return self.steps >= self._host._rules.last
 
     def seed(self, worlds: Any, seeds: Sequence[int] | np.ndarray) -> None:
         """Start the random streams of some worlds.
@@ -211,18 +167,7 @@ class GpuBatch:
         doubles = draw_doubles(streams, np.arange(count), self.scenario.draw_count)
         self._write_streams(worlds, streams)
         drawn = self.scenario.draw_many(doubles)
-        body, thruster = (
-            np.zeros((count, *array.shape[1:])) for array in (self._host._worlds.body, self._host._worlds.thruster)
-        )
-        body[:, :, MASS], body[:, :, INERTIA] = drawn.masses, drawn.inertias
-        if body.shape[2] > OFFSET_X:
-            body[:, :, OFFSET_X:DRIFT_X], body[:, :, DRIFT_X:SINCE] = drawn.center_of_mass, drawn.drift
-        if thruster.shape[1]:
-            thruster[:, :, :OWED] = drawn.thruster_gain.reshape(count, self.robots, 6)
-        contact = np.stack((drawn.restitution, drawn.restitution_speed, drawn.friction), axis=1)
-        kept = self._worlds
-        for tensor, array in ((kept.body, body), (kept.thruster, thruster), (kept.contact, contact)):
-            tensor[worlds] = torch.from_numpy(array).to(tensor)
+        write_physics(self._worlds, worlds, drawn, lambda array, tensor: torch.from_numpy(array).to(tensor))
 
     def _write_streams(self, worlds: torch.Tensor, streams: np.ndarray) -> None:
         # torch indexes few unsigned types

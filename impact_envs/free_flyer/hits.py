@@ -5,13 +5,12 @@ Compiled scalar functions.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from impact_envs.compiled import compiled
-from impact_envs.free_flyer.contact_rules import CONTACT_STEP, GRAZE, LOW_SPEED, REST_GAP
 from impact_envs.free_flyer.impulse import collide, read_contact, write_contact
+from impact_envs.free_flyer.pair import CONTACT_STEP, GRAZE, LOW_SPEED, REST_GAP
+from impact_envs.free_flyer.schema import MASS, RESTITUTION, RESTITUTION_SPEED
 from impact_envs.free_flyer.touch import find_press
 from impact_envs.free_flyer.worlds import (
     ACROSS,
@@ -20,12 +19,9 @@ from impact_envs.free_flyer.worlds import (
     FELT,
     GAP,
     HITS,
-    MASS,
     NEAR,
     PARTING,
     PARTING_GOAL,
-    RESTITUTION,
-    RESTITUTION_SPEED,
     STEPS,
     TIME,
     Arena,
@@ -34,6 +30,7 @@ from impact_envs.free_flyer.worlds import (
     Scratch,
     Worlds,
 )
+from impact_envs.physics.impact import compute_restitution, is_rebound
 
 
 @compiled
@@ -57,12 +54,9 @@ def hit(
         if scratch.contacts[c, entry, TIME] <= end:
             write_contact(arena, worlds, scratch, c, k, rows, scratch.marks[c, entry, NEAR])
             if contacts[c, rows, GAP] <= REST_GAP and rebounds(arena, worlds, scratch, c, k, rows):
-                speed, e, e_speed = (
-                    -contacts[c, rows, PARTING],
-                    worlds.contact[k, RESTITUTION],
-                    worlds.contact[k, RESTITUTION_SPEED],
-                )
-                contacts[c, rows, PARTING_GOAL] = speed * (e * math.exp(-speed / e_speed) if e_speed > 0 else e)
+                speed = -contacts[c, rows, PARTING]
+                e = compute_restitution(speed, worlds.contact[k, RESTITUTION], worlds.contact[k, RESTITUTION_SPEED])
+                contacts[c, rows, PARTING_GOAL] = speed * e
                 rows += 1
     if rows == 0:
         settle(arena, worlds, scratch, c, k, count)
@@ -79,7 +73,7 @@ def rebounds(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, row
     contacts = scratch.contacts
     i, j, approach = int(contacts[c, row, I]), int(contacts[c, row, J]), -contacts[c, row, PARTING]
     press = find_press(arena, worlds, scratch, c, k, i, j, contacts[c, row, GAP], approach)
-    return approach > max(LOW_SPEED, press * CONTACT_STEP / 2)
+    return is_rebound(approach, press, LOW_SPEED, CONTACT_STEP)
 
 
 @compiled
@@ -123,9 +117,9 @@ def report(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: i
     i, j, nx, ny, px, py = read_contact(scratch, c, row)
     along, across = scratch.contacts[c, row, ALONG], scratch.contacts[c, row, ACROSS]
     speed = -scratch.contacts[c, row, PARTING]
-    worlds.body[k, i, FELT] = max(worlds.body[k, i, FELT], speed)
+    worlds.state[k, i, FELT] = max(worlds.state[k, i, FELT], speed)
     if j < n:
-        worlds.body[k, j, FELT] = max(worlds.body[k, j, FELT], speed)
+        worlds.state[k, j, FELT] = max(worlds.state[k, j, FELT], speed)
     place = worlds.counter[k, HITS]
     worlds.counter[k, HITS] += 1
     if place < log.shape[1]:

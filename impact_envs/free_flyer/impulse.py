@@ -6,17 +6,17 @@ Compiled scalar functions, the law of ``physics.impact.solve_contacts`` without 
 
 from __future__ import annotations
 
+import math
+
 from impact_envs.compiled import compiled
+from impact_envs.free_flyer.schema import FRICTION, INERTIA, MASS
 from impact_envs.free_flyer.touch import find_approach, find_gap
 from impact_envs.free_flyer.worlds import (
     ACROSS,
     ALONG,
     CHANGE,
     COMPRESSION,
-    FRICTION,
     GAP,
-    INERTIA,
-    MASS,
     NX,
     NY,
     PARTING,
@@ -31,7 +31,7 @@ from impact_envs.free_flyer.worlds import (
     Scratch,
     Worlds,
 )
-from impact_envs.physics.impact import SMALL_CHANGE, SWEEPS
+from impact_envs.physics.impact import SMALL_CHANGE, SWEEPS, project_impulse
 
 
 @compiled
@@ -146,7 +146,8 @@ def relax(
             speed = contacts[c, row, PARTING] + find_speed(worlds, scratch, c, k, n, column, i, j, nx, ny, px, py)
             excess = speed - aim * contacts[c, row, PARTING_GOAL]
             old = contacts[c, row, ALONG]
-            new = max(old - excess / find_mobility(worlds, k, n, i, j, nx, ny, px, py), 0.0)
+            mobility = find_mobility(worlds, k, n, i, j, nx, ny, px, py)
+            new = project_impulse(old, excess, mobility, 0.0, math.inf)
             if new != old:
                 contacts[c, row, ALONG] = new
                 push(worlds, scratch, c, k, n, column, i, j, nx, ny, px, py, new - old)
@@ -156,8 +157,9 @@ def relax(
                 i, j, nx, ny, px, py = read_contact(scratch, c, row)
                 speed = contacts[c, row, SLIP] + find_speed(worlds, scratch, c, k, n, column, i, j, -ny, nx, px, py)
                 old, limit = contacts[c, row, ACROSS], friction * contacts[c, row, ALONG]
-                new = old - (speed - contacts[c, row, SLIP_GOAL]) / find_mobility(worlds, k, n, i, j, -ny, nx, px, py)
-                new = min(max(new, -limit), limit)
+                excess = speed - contacts[c, row, SLIP_GOAL]
+                mobility = find_mobility(worlds, k, n, i, j, -ny, nx, px, py)
+                new = project_impulse(old, excess, mobility, -limit, limit)
                 if new != old:
                     contacts[c, row, ACROSS] = new
                     push(worlds, scratch, c, k, n, column, i, j, -ny, nx, px, py, new - old)

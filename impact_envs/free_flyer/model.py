@@ -15,7 +15,8 @@ import numpy as np
 
 from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.body import Body, make_obstacle, make_walls
-from impact_envs.free_flyer.contact_rules import (
+from impact_envs.free_flyer.lasting_contact import ContactSolver
+from impact_envs.free_flyer.pair import (
     CONTACT_STEP,
     GRAZE,
     LOW_SPEED,
@@ -24,18 +25,27 @@ from impact_envs.free_flyer.contact_rules import (
     REST_PRESS,
     REST_SPEED,
     SIMULTANEOUS,
-)
-from impact_envs.free_flyer.lasting_contact import ContactSolver
-from impact_envs.free_flyer.pair import (
     compute_approach,
     compute_press,
     find_contact,
     find_time_of_impact,
     part,
 )
-from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
+from impact_envs.free_flyer.schema import (
+    DRIFT_X,
+    DRIFT_Y,
+    FRICTION,
+    INERTIA,
+    MASS,
+    OFFSET_X,
+    OFFSET_Y,
+    RESTITUTION,
+    RESTITUTION_SPEED,
+    FreeFlyerScenario,
+    Physics,
+)
 from impact_envs.physics.convex import Contact
-from impact_envs.physics.impact import Impact, compute_restitution, solve_contacts
+from impact_envs.physics.impact import Impact, compute_restitution, is_rebound, solve_contacts
 
 EVENTS = 20_000  # in one control period; more means the rules above have failed
 
@@ -137,29 +147,28 @@ class FreeFlyerModel:
         return impacts
 
     def _make_body(self, name: str) -> Body:
-        table, physics = self.scenario.body(name), self.physics
-        ox, oy = (float(c) for c in physics.center_of_mass.get(name, (0.0, 0.0)))
-        drift = physics.drift.get(name, (0.0, 0.0))
+        table, row = self.scenario.body(name), self.physics.body[self.scenario.bodies.index(name)].tolist()
         return Body(
             name,
             table.radius,
             getattr(table, "vertices", None),
-            (ox, oy),
-            float(physics.masses[name]),
-            float(physics.inertias[name]),
-            ax=float(drift[0]),
-            ay=float(drift[1]),
+            (row[OFFSET_X], row[OFFSET_Y]),
+            row[MASS],
+            row[INERTIA],
+            ax=row[DRIFT_X],
+            ay=row[DRIFT_Y],
         )
 
     def _actuate(self, name: str, control: np.ndarray) -> None:
         """Turn a command into the accelerations held over the coming control period."""
-        body, table, gain = self._robots[name], self.scenario.robots[name], self.physics.thruster_gain[name]
+        body, table = self._robots[name], self.scenario.robots[name]
+        gain = self.physics.thruster[self.scenario.agents.index(name)].reshape(3, 2)
         command = [float(u) for u in control]
         if len(command) != 3 or not all(map(math.isfinite, command)):
             raise InputError(f"control of {name} = {command}: three finite numbers Fx, Fy, tau are needed")
         limits = (table.force_limit, table.force_limit, table.torque_limit)
         command = [min(max(u, -limit), limit) for u, limit in zip(command, limits, strict=True)]
-        if self.physics.thruster_on_off:
+        if self.physics.true.thruster_on_off:
             command[:2] = self._quantise(name, command, table.force_limit)
         fx, fy, tau = (float(u * gain[k, 0 if u >= 0 else 1]) for k, u in enumerate(command))
         # The lever of the force about the true centre of mass.
@@ -195,7 +204,7 @@ class FreeFlyerModel:
                 left = CONTACT_STEP if left > CONTACT_STEP + SIMULTANEOUS else left
                 # pymunk starts from the last step's impulses, and scales them wrongly when the steps differ.
                 if solver is None or left != held_for:
-                    solver, held_for = ContactSolver(self._bodies, self.physics.friction), left
+                    solver, held_for = ContactSolver(self._bodies, float(self.physics.contact[FRICTION])), left
                 solver.hold(pressed, left)
                 near = self._near_pairs(left)
             first, hits = self._first_impact(near, pressed | idle, left)
@@ -276,17 +285,17 @@ class FreeFlyerModel:
             self._settle(contacts | {pair: find_contact(*self._both(pair)) for pair in near})
             return []
         speeds = {pair: compute_approach(*self._both(pair), contact) for pair, contact in genuine.items()}
-        physics = self.physics
-        restitution = {
-            pair: compute_restitution(speeds[pair], physics.restitution, physics.restitution_speed) for pair in genuine
-        }
+        law = self.physics.contact.tolist()
+        e, e_speed = law[RESTITUTION], law[RESTITUTION_SPEED]
+        restitution = {pair: compute_restitution(speeds[pair], e, e_speed) for pair in genuine}
         impulses = self._apply_impulses(genuine, restitution)
         return [self._report(pair, genuine[pair], impulses[pair], speeds[pair], time) for pair in genuine]
 
     def _rebounds(self, pair: Pair, contact: Contact) -> bool:
         """Return whether an impact is more than the start of a lasting contact."""
-        press = compute_press(*self._both(pair), contact)
-        return compute_approach(*self._both(pair), contact) > max(LOW_SPEED, press * CONTACT_STEP / 2)
+        a, b = self._both(pair)
+        speed, press = compute_approach(a, b, contact), compute_press(a, b, contact)
+        return is_rebound(speed, press, LOW_SPEED, CONTACT_STEP)
 
     def _settle(self, contacts: Mapping[Pair, Contact]) -> None:
         """Bring everything that touches to rest on each other, without restitution."""
@@ -316,7 +325,7 @@ class FreeFlyerModel:
                     tangents[row, 3 * k : 3 * k + 3] = -sign * ny, sign * nx, sign * (rx * nx + ry * ny)
         v = np.array([u for body in self._movable for u in (body.vx, body.vy, body.omega)])
         e = np.array([restitution[pair] for pair, _, _ in entries])
-        p, q = solve_contacts(normals, np.diag(self._masses), v, e, tangents, self.physics.friction)
+        p, q = solve_contacts(normals, np.diag(self._masses), v, e, tangents, float(self.physics.contact[FRICTION]))
         v += (p @ normals + q @ tangents) / self._masses
         for k, body in enumerate(self._movable):
             body.vx, body.vy, body.omega = (float(u) for u in v[3 * k : 3 * k + 3])

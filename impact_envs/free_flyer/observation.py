@@ -1,41 +1,37 @@
-"""What free-flyers measure: the sensors, the layout of an observation, and how to read one.
+"""What free-flyers measure: the sensors, and what stands where in an observation.
 
 Experts import this module and never the task, so what they know is what a robot can measure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
 from impact_envs.free_flyer.sensing import (
+    BODY,
     BODY_SIZE,
+    LOWER,
+    SHARED,
     STATE_SIZE,
     TAIL_SIZE,
-    Sensing,
     compute_memory_size,
+    make_sensing,
     sample_alone,
 )
-from impact_envs.free_flyer.sensing import VELOCITY_WINDOW as VELOCITY_WINDOW
+from impact_envs.observation import Layout
 
-
-@dataclass(frozen=True)
-class Measurement:
-    """One control step's measurements, read from the robots' observations.
-
-    Attributes:
-        time: since the start of the episode [s].
-        robots, objects: name to [x, y, vx, vy, heading, omega], shape (6,) [m, m/s, rad, rad/s].
-        contact: robot name to whether its IMU felt an impact in the last step seen.
-    """
-
-    time: float
-    robots: dict[str, np.ndarray]
-    objects: dict[str, np.ndarray]
-    contact: dict[str, bool]
+__all__ = [
+    "BODY_SIZE",
+    "TAIL_SIZE",
+    "Sensors",
+    "join_observations",
+    "make_joint_layout",
+    "make_layout",
+    "observed_order",
+]
 
 
 class Sensors:
@@ -49,13 +45,12 @@ class Sensors:
         """Forget the last episode.
 
         Args:
-            physics: position noise, whether velocity is measured, delay.
+            physics: says what the sensors are like.
             rng: the episode's generator; with noise, every sample takes two doubles per body from it.
         """
-        noise, delay = float(physics.position_noise), int(physics.delay_steps)
-        sensing = Sensing(self._period, noise, bool(physics.velocity_measured), delay)
+        sensing = make_sensing(self._period, physics.true)
         self._sensing, self._rng, self._samples = tuple(sensing), rng, 0
-        self._uniforms = np.zeros((1, 2 * self._bodies if noise > 0 else 0))
+        self._uniforms = np.zeros((1, 2 * self._bodies if sensing.noise > 0 else 0))
         self._memory = np.zeros((1, compute_memory_size(sensing, self._bodies, self._robots)))
         self._ideal = self._memory.size + self._uniforms.size == 0
 
@@ -86,30 +81,33 @@ def observed_order(scenario: FreeFlyerScenario, agent: str) -> tuple[str, ...]:
     return (agent, *(name for name in scenario.bodies if name != agent))
 
 
-def read_observations(scenario: FreeFlyerScenario, observations: Mapping[str, np.ndarray]) -> Measurement:
-    """Read what the team measured; each robot reports itself, the first one the objects.
+def make_joint_layout(scenario: FreeFlyerScenario) -> Layout:
+    """Return the layout of everything measured once: bodies in scenario order, contacts, time, robustness interval."""
+    contacts = [f"{name} felt an impact in the last step, 0 or 1" for name in scenario.agents]
+    return _make_layout(scenario.bodies, contacts)
+
+
+def make_layout(scenario: FreeFlyerScenario, agent: str) -> Layout:
+    """Return the layout of a robot's own observation: itself, other robots, objects; its contact, and the same end."""
+    return _make_layout(observed_order(scenario, agent), ["it felt an impact in the last step, 0 or 1"])
+
+
+def _make_layout(bodies: Sequence[str], contacts: Sequence[str]) -> Layout:
+    blocks = [(name, BODY) for name in bodies]
+    return Layout(*blocks, ("contact", contacts), ("time", SHARED[:LOWER]), ("robustness", SHARED[LOWER:]))
+
+
+def join_observations(scenario: FreeFlyerScenario, observations: Mapping[str, np.ndarray], joint: np.ndarray) -> None:
+    """Write the joint observation of a team; each robot reports itself, the first one the objects.
 
     Args:
-        scenario: says who is in the observation.
-        observations: agent to its observation vector.
-
-    Returns:
-        The measurement of this control step.
+        scenario: says who is in the observations.
+        observations: robot to its own observation.
+        joint: takes the joint observation, laid out as `make_joint_layout` says.
     """
-    robots, contact = {}, {}
-    for agent, vector in observations.items():
-        robots[agent] = _read_body(vector[:BODY_SIZE])
-        contact[agent] = bool(vector[-TAIL_SIZE] > 0.5)
-    agent, vector = next(iter(observations.items()))
-    order = observed_order(scenario, agent)
-    objects = {
-        name: _read_body(vector[i * BODY_SIZE : (i + 1) * BODY_SIZE])
-        for i, name in enumerate(order)
-        if name in scenario.objects
-    }
-    return Measurement(float(vector[-TAIL_SIZE + 1]) * scenario.horizon, robots, objects, contact)
-
-
-def _read_body(block: np.ndarray) -> np.ndarray:
-    x, y, vx, vy, cos, sin, omega = block
-    return np.array([x, y, vx, vy, np.arctan2(sin, cos), omega])
+    first, n = observations[scenario.agents[0]], BODY_SIZE * len(scenario.bodies)
+    joint[:n] = first[:n]  # the first robot sees all bodies in scenario order
+    for i, name in enumerate(scenario.agents):
+        joint[BODY_SIZE * i : BODY_SIZE * (i + 1)] = observations[name][:BODY_SIZE]
+        joint[n + i] = observations[name][n]
+    joint[n + len(scenario.agents) :] = first[n + 1 :]

@@ -1,13 +1,32 @@
-"""Two bodies: how they touch, close in, press on each other, and when they will touch."""
+"""Two bodies: how they touch, close in, press on each other, and when they will touch.
+
+Also the numbers by which both engines judge a pair: what counts as an impact, what as resting.
+"""
 
 from __future__ import annotations
 
 import math
 
 from impact_envs.free_flyer.body import Body
-from impact_envs.free_flyer.contact_rules import CONTACT_STEP, GRAZE, SINK, STRIDE
 from impact_envs.physics.convex import Contact, compute_contact
 from impact_envs.physics.time_of_impact import find_crossing, find_disc_impact, find_face_impact
+
+# Lasting contacts hold their forces for this long [s].
+CONTACT_STEP = 0.01
+# An impact that is slower than this [m/s], or whose rebound would end within a contact step, is the start of a lasting
+# contact (see `is_rebound`).
+LOW_SPEED = 1e-4
+# Bodies this near [m] rest on each other if they close in no faster than this [m/s], and part no faster than
+# pymunk, whose shapes are this much larger than they are [m], sees over a contact step. Smaller accelerations
+# are rounding [m/s^2].
+REST_GAP, REST_SPEED, SKIN = 1e-5, 1e-7, 1e-4
+PART_SPEED = SKIN / CONTACT_STEP
+REST_PRESS = 1e-9
+# Impacts this close in time are solved together, so that symmetric squeezes stay symmetric [s].
+SIMULTANEOUS = 1e-12
+# Polygons may graze each other unseen over this much motion, and touch when they overlap by this much; all
+# bodies may sink this much into what they rest on [m].
+STRIDE, GRAZE, SINK = 1e-3, 1e-10, 1e-6
 
 
 def find_contact(a: Body, b: Body) -> Contact:

@@ -8,16 +8,15 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled, inlined
-from impact_envs.free_flyer.contact_rules import CONTACT_STEP, PART_SPEED, REST_GAP, REST_PRESS, REST_SPEED
 from impact_envs.free_flyer.impulse import find_speed, read_contact, relax, write_contact
+from impact_envs.free_flyer.pair import CONTACT_STEP, PART_SPEED, REST_GAP, REST_PRESS, REST_SPEED
+from impact_envs.free_flyer.schema import FRICTION, OFFSET_X
 from impact_envs.free_flyer.touch import find_approach, find_gap, find_press, is_offset
 from impact_envs.free_flyer.worlds import (
     ACCELERATION,
     CHANGE,
     COMPRESSION,
-    FRICTION,
     NEAR,
-    OFFSET_X,
     PARTING,
     PARTING_GOAL,
     REST,

@@ -1,15 +1,18 @@
-"""Tables of a free-flyer scenario: who is where, what is believed, what is true, and the draw of one true world."""
+"""Tables of a free-flyer scenario: who is where, what is believed, what is true, and the draw of true worlds.
+
+A disturbance is a field of `Truth`, which says how it is drawn, and a column of `Physics`, which `draw_many` fills and
+the engine reads.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from impact_envs.scenario import (
     Box,
@@ -29,6 +32,15 @@ Engine = Literal["exact", "pymunk"]
 Restitution = Annotated[float, Field(ge=0, le=1)]
 # What directions and the choice of one of several things are drawn from.
 ANGLE, SHARE = Uniform(uniform=(0.0, 2 * math.pi)), Uniform(uniform=(0.0, 1.0))
+
+# Columns of Physics.contact: coefficient of restitution at zero speed; v_e of e(v) = e exp(-v / v_e) [m/s], 0 for
+# constant e; Coulomb coefficient.
+RESTITUTION, RESTITUTION_SPEED, FRICTION, CONTACT_COLUMNS = range(4)
+# Columns of Physics.body: mass [kg], inertia [kg m^2], centre of mass in the body frame from the geometric centre [m],
+# constant acceleration [m/s^2].
+MASS, INERTIA, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y, BODY_COLUMNS = range(7)
+# Columns of Physics.thruster: true over commanded force, positive and negative per channel Fx, Fy, torque.
+GAIN, THRUSTER_COLUMNS = 0, 6
 
 
 class Obstacle(Region):
@@ -88,35 +100,16 @@ class Believed(Table):
     friction: NonNegative = 0.0
 
 
-class Truth(Table):
-    """The physics of the simulated world, numbers or distributions; unset means as believed, undisturbed."""
+class Drawn(NamedTuple):
+    """How a quantity of `Truth` is drawn.
 
-    restitution: Restitution | Uniform | None = None
-    restitution_speed: Quantity = 0.0  # e(v) = restitution * exp(-v / restitution_speed) [m/s]; 0 = constant
-    friction: Quantity | None = None  # Coulomb coefficient at contacts
-    robot_mass_scale: Quantity = 1.0  # true mass over believed mass
-    object_mass_scale: Quantity = 1.0
-    center_of_mass_offset: Quantity = 0.0  # of objects, in a random body direction [m]
-    drift: Quantity = 0.0  # constant acceleration of each object, random direction [m/s^2]
-    thruster_gain: Quantity = 1.0  # true over commanded force, drawn per robot
-    weak_thruster: Quantity = 1.0  # further gain of one random thruster direction of one random robot
-    thruster_on_off: bool = False  # thrusters are off or full at the control rate
-    position_noise: NonNegative = 0.0  # standard deviation per axis [m]
-    velocity_measured: bool = True  # otherwise velocity is a filtered difference of positions
-    delay_steps: Annotated[int, Field(ge=0, le=50)] = 0  # control periods between event and observation
+    Attributes:
+        per: drawn anew for every ``world``, ``robot`` or ``object``.
+        beside: what else is drawn each time, after it, for example a direction.
+    """
 
-    @model_validator(mode="after")
-    def _limits(self) -> Self:
-        for name in ("robot_mass_scale", "object_mass_scale"):
-            if smallest(getattr(self, name)) <= 0:
-                raise ValueError(f"{name} must be above 0")
-        for name in ("restitution", "restitution_speed", "friction", "center_of_mass_offset", "drift"):
-            value = getattr(self, name)
-            if value is not None and smallest(value) < 0:
-                raise ValueError(f"{name} must not be negative")
-        if isinstance(self.restitution, Uniform) and self.restitution.uniform[1] > 1:
-            raise ValueError(f"restitution reaches {self.restitution.uniform[1]:g}, above 1")
-        return self
+    per: Literal["world", "robot", "object"] = "world"
+    beside: tuple[Uniform, ...] = ()
 
 
 def smallest(quantity: Quantity) -> float:
@@ -124,56 +117,78 @@ def smallest(quantity: Quantity) -> float:
     return quantity.uniform[0] if isinstance(quantity, Uniform) else quantity
 
 
-@dataclass(frozen=True)
-class Physics:
-    """One true world: the numbers drawn for one episode.
+def _at_least_zero(quantity: Quantity) -> Quantity:
+    if smallest(quantity) < 0:
+        raise ValueError("must not be negative")
+    return quantity
 
-    Attributes:
-        restitution: coefficient of restitution at zero speed.
-        restitution_speed: e(v) = restitution * exp(-v / restitution_speed) [m/s]; 0 = constant.
-        friction: Coulomb coefficient at contacts.
-        masses, inertias: per body [kg], [kg m^2].
-        center_of_mass: per body, offset from the geometric centre in the body frame, shape (2,) [m].
-        drift: per object, constant world acceleration, shape (2,) [m/s^2].
-        thruster_gain: per robot, shape (3, 2), gain of channels Fx, Fy, torque for positive and negative commands.
-        thruster_on_off: thrusters are off or full.
-        position_noise: standard deviation per axis [m].
-        velocity_measured: False when velocity is a filtered difference of positions.
-        delay_steps: control periods between event and observation.
+
+def _above_zero(quantity: Quantity) -> Quantity:
+    if smallest(quantity) <= 0:
+        raise ValueError("must be above 0")
+    return quantity
+
+
+def _at_most_one(quantity: Quantity) -> Quantity:
+    if isinstance(quantity, Uniform) and quantity.uniform[1] > 1:
+        raise ValueError(f"reaches {quantity.uniform[1]:g}, above 1")
+    return quantity
+
+
+Size = Annotated[Quantity, AfterValidator(_at_least_zero)]
+Scale = Annotated[Quantity, AfterValidator(_above_zero)]
+Share = Annotated[Restitution | Uniform, AfterValidator(_at_least_zero), AfterValidator(_at_most_one)]
+
+
+class Truth(Table):
+    """The physics of the simulated world, numbers or distributions; unset means as believed, undisturbed.
+
+    What is drawn stands in the order of drawing, so that worlds of one seed share what they can: add at the end.
     """
 
-    restitution: float
-    restitution_speed: float
-    friction: float
-    masses: Mapping[str, float]
-    inertias: Mapping[str, float]
-    center_of_mass: Mapping[str, np.ndarray]
-    drift: Mapping[str, np.ndarray]
-    thruster_gain: Mapping[str, np.ndarray]
-    thruster_on_off: bool = False
-    position_noise: float = 0.0
-    velocity_measured: bool = True
-    delay_steps: int = 0
+    restitution: Annotated[Share | None, Drawn()] = None
+    friction: Annotated[Size | None, Drawn()] = None  # Coulomb coefficient at contacts
+    robot_mass_scale: Annotated[Scale, Drawn("robot")] = 1.0  # true mass over believed mass
+    object_mass_scale: Annotated[Scale, Drawn("object")] = 1.0
+    restitution_speed: Annotated[Size, Drawn()] = 0.0  # v_e of e(v) = restitution exp(-v / v_e) [m/s]; 0 = constant
+    center_of_mass_offset: Annotated[Size, Drawn("object", (ANGLE,))] = 0.0  # in a random body direction [m]
+    drift: Annotated[Size, Drawn("object", (ANGLE,))] = 0.0  # constant acceleration, random direction [m/s^2]
+    thruster_gain: Annotated[Quantity, Drawn("robot")] = 1.0  # true over commanded force
+    # Further gain of one thruster: of a random robot, along x or y, positive or negative.
+    weak_thruster: Annotated[Quantity, Drawn("world", (SHARE, SHARE, SHARE))] = 1.0
+
+    thruster_on_off: bool = False  # thrusters are off or full at the control rate
+    position_noise: NonNegative = 0.0  # standard deviation per axis [m]
+    velocity_measured: bool = True  # otherwise velocity is a filtered difference of positions
+    delay_steps: Annotated[int, Field(ge=0, le=50)] = 0  # control periods between event and observation
+
+    @property
+    def moves_bodies(self) -> bool:
+        """Return whether in any world a centre of mass is offset, or anything accelerates by itself."""
+        return any(getattr(self, name) != 0.0 for name in ("center_of_mass_offset", "drift"))
+
+    @property
+    def changes_thrusters(self) -> bool:
+        """Return whether in any world a thruster does not do as it is told."""
+        return any(getattr(self, name) != 1.0 for name in ("thruster_gain", "weak_thruster"))
 
 
-class DrawnPhysics(NamedTuple):
-    """The drawn numbers of N true worlds of one scenario, n bodies, of which the first are the r robots.
+class Physics(NamedTuple):
+    """True worlds: the numbers drawn for one episode, or with a leading axis N for those of N worlds.
+
+    Bodies are in the scenario's order, so the first are the robots; the columns are named at the top of this file.
 
     Attributes:
-        restitution, restitution_speed, friction: as in ``Physics``, shape (N,).
-        masses, inertias: shape (N, n) [kg], [kg m^2].
-        center_of_mass, drift: zero for robots, shape (N, n, 2) [m], [m/s^2].
-        thruster_gain: shape (N, r, 3, 2).
+        contact: shape (3,).
+        body: shape (n, 6); centre of mass and constant acceleration are zero for robots.
+        thruster: shape (robots, 6).
+        true: what is not drawn.
     """
 
-    restitution: np.ndarray
-    restitution_speed: np.ndarray
-    friction: np.ndarray
-    masses: np.ndarray
-    inertias: np.ndarray
-    center_of_mass: np.ndarray
-    drift: np.ndarray
-    thruster_gain: np.ndarray
+    contact: np.ndarray
+    body: np.ndarray
+    thruster: np.ndarray
+    true: Truth
 
 
 class FreeFlyerScenario(Scenario):
@@ -228,7 +243,7 @@ class FreeFlyerScenario(Scenario):
     @property
     def draw_count(self) -> int:
         """Return how many uniform numbers the draw of one true world takes."""
-        return sum(isinstance(quantity, Uniform) for quantity in self._quantities())
+        return sum(isinstance(each, Uniform) for row in self._list_drawn().values() for each in row)
 
     def draw(self, rng: np.random.Generator) -> Physics:
         """Draw one true world.
@@ -239,24 +254,10 @@ class FreeFlyerScenario(Scenario):
         Returns:
             The numbers of one episode.
         """
-        drawn = DrawnPhysics(*(rows[0] for rows in self.draw_many(rng.random((1, self.draw_count)))))
-        place = {name: i for i, name in enumerate(self.bodies)}
-        return Physics(
-            restitution=float(drawn.restitution),
-            restitution_speed=float(drawn.restitution_speed),
-            friction=float(drawn.friction),
-            masses={name: float(drawn.masses[i]) for name, i in place.items()},
-            inertias={name: float(drawn.inertias[i]) for name, i in place.items()},
-            center_of_mass={name: drawn.center_of_mass[i] for name, i in place.items()},
-            drift={name: drawn.drift[place[name]] for name in self.objects},
-            thruster_gain={name: drawn.thruster_gain[place[name]] for name in self.robots},
-            thruster_on_off=self.true.thruster_on_off,
-            position_noise=self.true.position_noise,
-            velocity_measured=self.true.velocity_measured,
-            delay_steps=self.true.delay_steps,
-        )
+        drawn = self.draw_many(rng.random((1, self.draw_count)))
+        return Physics(drawn.contact[0], drawn.body[0], drawn.thruster[0], self.true)
 
-    def draw_many(self, uniforms: np.ndarray) -> DrawnPhysics:
+    def draw_many(self, uniforms: np.ndarray) -> Physics:
         """Turn uniform numbers into true worlds, one per row; a world does not depend on the others.
 
         Args:
@@ -265,40 +266,36 @@ class FreeFlyerScenario(Scenario):
         Returns:
             The numbers of N episodes.
         """
-        robots, objects = len(self.robots), len(self.objects)
-        sizes = (1, 1, robots + objects, 1, 2 * objects, 2 * objects, robots, 1)
-        values = np.split(_draw_columns(self._quantities(), uniforms), np.cumsum(sizes), axis=1)
-        restitution, friction, scale, speed, offset, drift, gain, weakest, which = values
-        gains = np.empty((len(uniforms), robots, 3, 2))
-        gains[:] = gain[:, :, None, None]
+        worlds, robots, n = len(uniforms), len(self.robots), len(self.bodies)
+        drawn = _draw_columns(self._list_drawn(), uniforms)
+        contact = np.empty((worlds, CONTACT_COLUMNS))
+        contact[:, RESTITUTION] = drawn["restitution"][:, 0]
+        contact[:, RESTITUTION_SPEED] = drawn["restitution_speed"][:, 0]
+        contact[:, FRICTION] = drawn["friction"][:, 0]
+        body, tables = np.zeros((worlds, n, BODY_COLUMNS)), [self.body(name) for name in self.bodies]
+        scale = np.hstack([drawn["robot_mass_scale"], drawn["object_mass_scale"]])
+        body[:, :, MASS] = scale * [table.mass for table in tables]
+        body[:, :, INERTIA] = scale * [table.inertia for table in tables]
+        body[:, robots:, OFFSET_X : OFFSET_Y + 1] = _make_vectors(drawn["center_of_mass_offset"])
+        body[:, robots:, DRIFT_X : DRIFT_Y + 1] = _make_vectors(drawn["drift"])
+        gains = np.empty((worlds, robots, 3, 2))
+        gains[:] = drawn["thruster_gain"][:, :, None, None]
+        weakest, which = np.split(drawn["weak_thruster"], (1,), axis=1)
         robot, channel, sign = (which * (robots, 2, 2)).astype(int).T
-        gains[np.arange(len(uniforms)), robot, channel, sign] *= weakest[:, 0]
-        return DrawnPhysics(
-            restitution=restitution[:, 0],
-            restitution_speed=speed[:, 0],
-            friction=friction[:, 0],
-            masses=scale * [self.body(name).mass for name in self.bodies],
-            inertias=scale * [self.body(name).inertia for name in self.bodies],
-            center_of_mass=_make_vectors(offset, robots),
-            drift=_make_vectors(drift, robots),
-            thruster_gain=gains,
-        )
+        gains[np.arange(worlds), robot, channel, sign] *= weakest[:, 0]
+        return Physics(contact, body, gains.reshape(worlds, robots, THRUSTER_COLUMNS), self.true)
 
-    def _quantities(self) -> tuple[Quantity, ...]:
-        """Return what a true world is made of, in the order of drawing."""
-        true, robots, objects = self.true, len(self.robots), len(self.objects)
-        return (
-            self.believed.restitution if true.restitution is None else true.restitution,
-            self.believed.friction if true.friction is None else true.friction,
-            *(true.robot_mass_scale,) * robots,
-            *(true.object_mass_scale,) * objects,
-            true.restitution_speed,
-            *(true.center_of_mass_offset, ANGLE) * objects,
-            *(true.drift, ANGLE) * objects,
-            *(true.thruster_gain,) * robots,
-            true.weak_thruster,
-            *(SHARE, SHARE, SHARE),  # which robot, force along x or y, positive or negative
-        )
+    def _list_drawn(self) -> dict[str, tuple[Quantity, ...]]:
+        """Return what a true world is made of, by field of `Truth` in the order of drawing."""
+        counts = {"world": 1, "robot": len(self.robots), "object": len(self.objects)}
+        drawn = {}
+        for name, field in Truth.model_fields.items():
+            for how in field.metadata:
+                if isinstance(how, Drawn):
+                    value = getattr(self.true, name)
+                    quantity = getattr(self.believed, name) if value is None else value
+                    drawn[name] = (quantity, *how.beside) * counts[how.per]
+        return drawn
 
     @property
     def has_polygons(self) -> bool:
@@ -353,23 +350,22 @@ class FreeFlyerScenario(Scenario):
                     raise ValueError(f"{table}.{name}.{key} = {list(place)} touches the solid obstacle '{area}'")
 
 
-def _draw_columns(quantities: tuple[Quantity, ...], uniforms: np.ndarray) -> np.ndarray:
-    """Return the numbers of each world, low + (high - low) u where they are drawn, shape (N, quantities)."""
-    drawn = [isinstance(quantity, Uniform) for quantity in quantities]
+def _draw_columns(drawn: Mapping[str, tuple[Quantity, ...]], uniforms: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the numbers of each world, low + (high - low) u where they are drawn, by name, shapes (N, quantities)."""
+    quantities = [quantity for row in drawn.values() for quantity in row]
     low = np.array([smallest(quantity) for quantity in quantities])
     high = np.array([quantity.uniform[1] if isinstance(quantity, Uniform) else quantity for quantity in quantities])
     shares = np.zeros((len(uniforms), len(quantities)))
-    shares[:, drawn] = uniforms
-    return low + (high - low) * shares
+    shares[:, [isinstance(quantity, Uniform) for quantity in quantities]] = uniforms
+    ends = np.cumsum([len(row) for row in drawn.values()])
+    return dict(zip(drawn, np.split(low + (high - low) * shares, ends[:-1], axis=1), strict=True))
 
 
-def _make_vectors(polar: np.ndarray, robots: int) -> np.ndarray:
-    """Return the vectors of all bodies, zero for robots, of the objects' lengths and angles, shape (N, n, 2)."""
+def _make_vectors(polar: np.ndarray) -> np.ndarray:
+    """Return the vectors of objects' lengths and angles, which alternate in each row, shape (N, objects, 2)."""
     from impact_envs.stream import write_directions  # reading a scenario does not wait for the compiler
 
     worlds, objects = len(polar), polar.shape[1] // 2
     directions = np.empty((worlds * objects, 2))
     write_directions(polar[:, 1::2].ravel(), directions)
-    vectors = np.zeros((worlds, robots + objects, 2))
-    vectors[:, robots:] = polar[:, 0::2, None] * directions.reshape(worlds, objects, 2)
-    return vectors
+    return polar[:, 0::2, None] * directions.reshape(worlds, objects, 2)

@@ -12,10 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.free_flyer.schema import Truth
 from impact_envs.stream import normal_pair
 
-BODY_SIZE = 7  # x, y, vx, vy, cos(heading), sin(heading), omega
-TAIL_SIZE = 4  # contact, time / horizon, robustness_lower, robustness_upper
+# What is observed of a body, in order; and what comes after all bodies: contacts, then these.
+BODY = ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "cos(heading)", "sin(heading)", "omega [rad/s]")
+X, Y, VX, VY, COS, SIN, OMEGA, BODY_SIZE = range(8)
+SHARED = ("time / horizon", "robustness_lower [m]", "robustness_upper [m]")
+TIME, LOWER, UPPER, SHARED_SIZE = range(4)
+TAIL_SIZE = 1 + SHARED_SIZE  # of a robot's own observation: its contact, and what is shared
 # The published replanner averages the differences of its last 15 positions, which is this difference quotient.
 VELOCITY_WINDOW = 15
 # Slowest impact the inertial unit feels; below it lies resting contact.
@@ -37,6 +42,16 @@ class Sensing(NamedTuple):
     noise: float
     velocity_measured: bool
     delay_steps: int
+
+
+def make_sensing(period: float, true: Truth) -> Sensing:
+    """Return the sensors of a true world.
+
+    Args:
+        period: control period [s].
+        true: its table.
+    """
+    return Sensing(float(period), float(true.position_noise), true.velocity_measured, true.delay_steps)
 
 
 def compute_memory_size(sensing: Sensing, bodies: int, robots: int) -> int:
@@ -156,6 +171,18 @@ def _delay(
         memory[k, newest + at] = contact
 
 
+@compiled
+def find_contact_place(bodies: int, robot: int) -> int:
+    """Return where a robot's contact stands in a joint observation."""
+    return BODY_SIZE * bodies + robot
+
+
+@compiled
+def find_shared_place(bodies: int, robots: int) -> int:
+    """Return where the time stands in a joint observation; the robustness interval follows."""
+    return BODY_SIZE * bodies + robots
+
+
 @inlined
 def write_observations(
     k: int,
@@ -185,25 +212,24 @@ def write_joint_observation(
         felt: contacts, shape (worlds, robots).
         fraction: time / horizon.
         low, high: interval of robustness still possible [m].
-        joint: takes the observation, shape (worlds, BODY_SIZE bodies + robots + 3).
+        joint: takes the observation, shape (worlds, joint size).
     """
-    at = 0
-    for i in range(measured.shape[1]):
-        heading = measured[k, i, 4]
-        joint[k, at] = measured[k, i, 0]
-        joint[k, at + 1] = measured[k, i, 1]
-        joint[k, at + 2] = measured[k, i, 2]
-        joint[k, at + 3] = measured[k, i, 3]
-        joint[k, at + 4] = math.cos(heading)
-        joint[k, at + 5] = math.sin(heading)
-        joint[k, at + 6] = measured[k, i, 5]
-        at += BODY_SIZE
-    for r in range(felt.shape[1]):
-        joint[k, at] = felt[k, r]
-        at += 1
-    joint[k, at] = fraction
-    joint[k, at + 1] = low
-    joint[k, at + 2] = high
+    bodies, robots = measured.shape[1], felt.shape[1]
+    for i in range(bodies):
+        at, heading = BODY_SIZE * i, measured[k, i, 4]
+        joint[k, at + X] = measured[k, i, 0]
+        joint[k, at + Y] = measured[k, i, 1]
+        joint[k, at + VX] = measured[k, i, 2]
+        joint[k, at + VY] = measured[k, i, 3]
+        joint[k, at + COS] = math.cos(heading)
+        joint[k, at + SIN] = math.sin(heading)
+        joint[k, at + OMEGA] = measured[k, i, 5]
+    for r in range(robots):
+        joint[k, find_contact_place(bodies, r)] = felt[k, r]
+    at = find_shared_place(bodies, robots)
+    joint[k, at + TIME] = fraction
+    joint[k, at + LOWER] = low
+    joint[k, at + UPPER] = high
 
 
 @inlined
@@ -213,14 +239,15 @@ def write_agent_observation(k: int, agent: int, joint: np.ndarray, out: np.ndarr
     Args:
         k: world.
         agent: robot, its number.
-        joint: as ``write_joint_observation`` left it, shape (worlds, BODY_SIZE bodies + robots + 3).
-        out: takes the observation, shape (worlds, robots, BODY_SIZE bodies + TAIL_SIZE).
+        joint: as ``write_joint_observation`` left it, shape (worlds, joint size).
+        out: takes the observation, shape (worlds, robots, own size).
     """
-    tail = out.shape[2] - TAIL_SIZE
-    for i in range(tail // BODY_SIZE):
+    robots, tail = out.shape[1], out.shape[2] - TAIL_SIZE
+    bodies = tail // BODY_SIZE
+    for i in range(bodies):
         place = 0 if i == agent else i + 1 if i < agent else i
         for j in range(BODY_SIZE):
             out[k, agent, BODY_SIZE * place + j] = joint[k, BODY_SIZE * i + j]
-    out[k, agent, tail] = joint[k, tail + agent]
-    for j in range(TAIL_SIZE - 1):
-        out[k, agent, tail + 1 + j] = joint[k, tail + out.shape[1] + j]
+    out[k, agent, tail] = joint[k, find_contact_place(bodies, agent)]
+    for j in range(SHARED_SIZE):
+        out[k, agent, tail + 1 + j] = joint[k, find_shared_place(bodies, robots) + j]

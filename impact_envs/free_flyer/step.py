@@ -30,6 +30,7 @@ from impact_envs.free_flyer.worlds import (
     read_states,
     write_states,
 )
+from impact_envs.reward import compute_effort, compute_reward, compute_team_reward
 from impact_envs.stl.program import Program
 from impact_envs.stl.stepper import start_monitor, update_monitor
 from impact_envs.stream import next_double
@@ -42,14 +43,12 @@ class Rules(NamedTuple):
         horizon: number of control periods that observations count time in.
         last: control periods after which an episode is truncated.
         diagonal: of the world; bounds of robustness are clipped to it [m].
-        effort: robustness that a full-thrust step of every actuator costs [m].
         start: x, y, vx, vy, heading, omega of the bodies at the start, shape (1, n, 6).
     """
 
     horizon: float
     last: int
     diagonal: float
-    effort: float
     start: np.ndarray
 
 
@@ -95,16 +94,6 @@ class Output(NamedTuple):
 
 
 @inlined
-def compute_effort(actions: np.ndarray, k: int, i: int) -> float:
-    """Return robot i's effort in one control period: mean square of its clipped action, in [0, 1]."""
-    total = 0.0
-    for channel in range(3):
-        u = min(max(float(actions[k, i, channel]), -1.0), 1.0)
-        total += u * u
-    return total / 3
-
-
-@inlined
 def step_task(
     arena: Arena,
     worlds: Worlds,
@@ -127,13 +116,13 @@ def step_task(
     step_world(arena, worlds, scratch, log, c, k)
     read_states(worlds, k, memory.states)
     for i in range(arena.robots):
-        memory.contacts[k, i] = 1.0 if worlds.body[k, i, FELT] > FELT_SPEED else 0.0
-    before = memory.bounds[k, 0] + memory.bounds[k, 1]
+        memory.contacts[k, i] = 1.0 if worlds.state[k, i, FELT] > FELT_SPEED else 0.0
+    before = memory.bounds[k, 0], memory.bounds[k, 1]
     watch(program, rules, memory, k, worlds.counter[k, STEPS])
-    low, high = memory.bounds[k, 0], memory.bounds[k, 1]
-    team = (low + high - before) / 2 + (low if worlds.counter[k, STEPS] >= rules.last else 0.0)
+    after = memory.bounds[k, 0], memory.bounds[k, 1]
+    team = compute_team_reward(before, after, worlds.counter[k, STEPS] >= rules.last)
     for i in range(arena.robots):
-        output.rewards[k, i] = team / arena.robots - rules.effort * compute_effort(actions, k, i)
+        output.rewards[k, i] = compute_reward(team, arena.robots, compute_effort(actions[k, i]))
     observe(worlds, sensing, rules, memory, output, k)
 
 
@@ -150,6 +139,8 @@ def start_task(
     """Start an episode in world k, whose physics are drawn."""
     for column in range(3):
         worlds.counter[k, column] = 0
+    for i in range(worlds.state.shape[1]):
+        worlds.state[k, i, FELT] = 0.0
     for i in range(worlds.thruster.shape[1]):
         worlds.thruster[k, i, OWED] = worlds.thruster[k, i, OWED + 1] = 0.0
     write_states(worlds, k, rules.start, 0)

@@ -9,10 +9,12 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from impact_envs.free_flyer.command import read_commands
-from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, Sensors
+from impact_envs.free_flyer.observation import Sensors, make_joint_layout, make_layout
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
 from impact_envs.free_flyer.sensing import FELT_SPEED, write_observations
+from impact_envs.observation import make_unbounded_space
 from impact_envs.physics.impact import Impact
+from impact_envs.reward import compute_effort
 from impact_envs.shape import Shape
 
 SIGNALS = ("x", "y", "vx", "vy", "heading", "omega")
@@ -37,14 +39,15 @@ class FreeFlyerTask:
         self._sensors = Sensors(scenario)
         self._rows = {name: row for row, name in enumerate(scenario.agents)}
         self._signals = [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS]
-        size = BODY_SIZE * len(scenario.bodies)
-        n = len(scenario.robots)
-        self._agents_shape, self._joint_shape = (1, n, size + TAIL_SIZE), (1, size + n + TAIL_SIZE - 1)
-        self._nobody = np.empty((1, 0, size + TAIL_SIZE))
+        self.joint_layout = make_joint_layout(scenario)
+        self.layouts = {name: make_layout(scenario, name) for name in scenario.agents}
+        own = self.layouts[scenario.agents[0]].size
+        self._joint_shape, self._agents_shape = (1, self.joint_layout.size), (1, len(scenario.robots), own)
+        self._nobody = np.empty((1, 0, own))
         self.action_spaces = {name: Box(-1.0, 1.0, (3,), np.float32) for name in scenario.agents}
-        self.observation_spaces = {name: _unbounded(self._agents_shape[2]) for name in scenario.agents}
-        self.joint_observation_space = _unbounded(self._joint_shape[1])
-        self.state_space = _unbounded(6 * len(scenario.bodies) + 1)
+        self.observation_spaces = {name: layout.make_space() for name, layout in self.layouts.items()}
+        self.joint_observation_space = self.joint_layout.make_space()
+        self.state_space = make_unbounded_space(6 * len(scenario.bodies) + 1)
 
     def reset(self, physics: Physics, states: np.ndarray, rng: np.random.Generator) -> None:
         """Start an episode.
@@ -67,11 +70,8 @@ class FreeFlyerTask:
         return {name: controls[row] for name, row in self._rows.items()}
 
     def effort(self, action: np.ndarray) -> float:
-        """Return a robot's effort in one control period: mean square of its action, in [0, 1]."""
-        total = 0.0
-        for u in np.asarray(action).tolist():  # plain numbers: arrays of three cost more
-            total += u * u if -1.0 < u < 1.0 else 1.0
-        return total / len(action)
+        """Return a robot's effort in one control period (see `compute_effort`), in [0, 1]."""
+        return compute_effort(np.asarray(action, dtype=float))
 
     def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
         """Return the propulsion spent in one control period: sum of |F| dt over robots [N s]."""
@@ -142,7 +142,3 @@ class FreeFlyerTask:
         measured, felt = self._measured[None], self._contacts[None]
         write_observations(0, measured, felt, time / self._horizon, *bounds, joint, agents)
         return joint[0]
-
-
-def _unbounded(size: int) -> Box:
-    return Box(-np.inf, np.inf, (size,), np.float64)

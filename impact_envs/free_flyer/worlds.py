@@ -1,34 +1,42 @@
 """The arrays of many disc worlds: what all worlds share, what each world has, and where a step computes.
 
 Few arrays with named columns, because every array costs time in each call and in compilation. What no world of a
-scenario needs has length 0, so that memory is paid for what is used.
+scenario needs has length 0, so that memory is paid for what is used. The drawn physics come first in their arrays, in
+the columns that `schema.py` names.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from impact_envs.compiled import compiled
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.body import make_obstacle, make_walls
-from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.schema import (
+    BODY_COLUMNS,
+    CONTACT_COLUMNS,
+    OFFSET_X,
+    OFFSET_Y,
+    THRUSTER_COLUMNS,
+    FreeFlyerScenario,
+    Physics,
+)
 
 # Columns of Arena.discs: radius [m], limits of force and torque per channel [N], [N m].
 RADIUS, LIMIT = 0, 1
-# Columns of Worlds.body: mass [kg], inertia [kg m^2], fastest impact in the last control period [m/s], centre of mass
-# in the body frame from the geometric centre [m], constant acceleration [m/s^2].
-MASS, INERTIA, FELT, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y = range(7)
-# Further ones of objects that keep their velocity: time since their last impact, and the line that they follow.
-SINCE, LINE_X, LINE_Y, LINE_VX, LINE_VY = range(7, 12)
-# Columns of Worlds.thruster: true over commanded force, positive and negative per channel Fx, Fy, torque; what on/off
-# thrusters owe in Fx, Fy.
-GAIN, OWED = 0, 6
-# Columns of Worlds.contact and Worlds.counter.
-RESTITUTION, RESTITUTION_SPEED, FRICTION = range(3)
+# Column of Worlds.state after x, y, vx, vy, heading, omega: fastest impact in the last control period [m/s].
+FELT, STATE_SIZE = 6, 7
+# Columns of Worlds.body after those of Physics.body, of objects that keep their velocity: time since their last impact
+# [s], and the line that they follow [m], [m/s].
+SINCE, LINE_X, LINE_Y, LINE_VX, LINE_VY = range(BODY_COLUMNS, BODY_COLUMNS + 5)
+# Columns of Worlds.thruster after those of Physics.thruster: what on/off thrusters owe in Fx, Fy, in full pulses.
+OWED = THRUSTER_COLUMNS
+# Columns of Worlds.counter.
 STEPS, HITS, OVERFLOW = range(3)
 # Columns of Scratch.motion: commands, then accelerations by thrusters and drift; the same with lasting contacts,
 # changes of velocity by impulses and by their compression, how far from its centre of mass a body can come [m].
@@ -69,10 +77,13 @@ class Worlds(NamedTuple):
     """The true physics and the present motion of N worlds.
 
     Attributes:
-        state: x, y, vx, vy of the centres of mass, heading, omega, shape (N, n, 6) [m], [m/s], [rad], [rad/s].
-        body: shape (N, n, 7), or 3 columns where no centre of mass is offset and nothing drifts.
-        thruster: shape (N, robots, 8), or no robots where all thrusters do as they are told.
-        contact: restitution, restitution speed [m/s], friction, shape (N, 3).
+        state: x, y, vx, vy of the centres of mass, heading, omega, felt impact, shape (N, n, 7) [m], [m/s], [rad],
+            [rad/s].
+        body: as ``Physics.body``, shape (N, n, 6); mass and inertia only where that is all, 11 columns where objects
+            keep their velocity.
+        thruster: as ``Physics.thruster`` and two more, shape (N, robots, 8), or no robots where all thrusters do as
+            they are told.
+        contact: as ``Physics.contact``, shape (N, 3).
         counter: control periods since reset, impacts in the last one, and periods cut short because events did not
             end, shape (N, 3).
     """
@@ -135,18 +146,39 @@ def make_worlds(arena: Arena, count: int, shifts: bool, gains: bool, dtype: type
     Args:
         arena: what they share.
         count: N.
-        shifts: any centre of mass may be offset, or anything drift.
+        shifts: any centre of mass may be offset, or anything accelerate by itself.
         gains: any thruster may differ from its command.
         dtype: of all that is not counted.
     """
     n, keeps = len(arena.discs), bool(arena.discs[arena.robots :, LIMIT].any())
     return Worlds(
-        state=np.zeros((count, n, 6), dtype),
-        body=np.zeros((count, n, LINE_VY + 1 if keeps else SINCE if shifts else OFFSET_X), dtype),
-        thruster=np.zeros((count, arena.robots if gains or arena.on_off else 0, 8), dtype),
-        contact=np.zeros((count, 3), dtype),
+        state=np.zeros((count, n, STATE_SIZE), dtype),
+        body=np.zeros((count, n, LINE_VY + 1 if keeps else BODY_COLUMNS if shifts else OFFSET_X), dtype),
+        thruster=np.zeros((count, arena.robots if gains or arena.on_off else 0, OWED + 2), dtype),
+        contact=np.zeros((count, CONTACT_COLUMNS), dtype),
         counter=np.zeros((count, 3), np.int64),
     )
+
+
+def write_physics(worlds: Any, chosen: Any, physics: Physics, convert: Callable[[Any, Any], Any] | None = None) -> None:
+    """Put drawn physics into some worlds; columns that no world of the scenario needs are left out.
+
+    Args:
+        worlds: `Worlds` of arrays or of tensors.
+        chosen: the worlds' numbers, shape (m,).
+        physics: of m worlds.
+        convert: turns what is drawn into what can be written to an array of the worlds, its second argument.
+    """
+    pairs = (
+        (worlds.contact, physics.contact),
+        (worlds.body, physics.body),
+        (worlds.thruster, physics.thruster),
+    )
+    for kept, drawn in pairs:
+        if kept.shape[1] > 0:
+            width = min(kept.shape[-1], drawn.shape[-1])
+            part = drawn[..., :width]
+            kept[chosen, ..., :width] = convert(part, kept) if convert else part
 
 
 def make_scratch(arena: Arena, threads: int) -> Scratch:

@@ -1,5 +1,8 @@
 """The impact law, in generalised coordinates; discs and point masses are special cases.
 
+The scalar functions are compiled, and all engines and planners call them; those of arrays serve the engines that are
+not compiled.
+
 Sign convention: the normal is a unit vector from body a to body b, and the impulse along it acts on b. The
 speed of approach is positive when the bodies close in.
 """
@@ -12,6 +15,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+
+from impact_envs.compiled import compiled
 
 Point = tuple[float, float]
 # Gauss-Seidel on simultaneous contacts: last change, relative to the largest impulse, and the most sweeps.
@@ -55,6 +60,7 @@ class Side(NamedTuple):
     velocity: np.ndarray
 
 
+@compiled
 def compute_restitution(speed: float, restitution: float, restitution_speed: float = 0.0) -> float:
     """Return the coefficient of restitution at a speed of approach.
 
@@ -71,6 +77,78 @@ def compute_restitution(speed: float, restitution: float, restitution_speed: flo
     Source: ours; restitution falls with impact speed, Stronge, *Impact Mechanics* (2000), ch. 6.
     """
     return restitution * math.exp(-speed / restitution_speed) if restitution_speed > 0 else restitution
+
+
+@compiled
+def is_rebound(speed: float, press: float, low_speed: float, contact_time: float) -> bool:
+    """Return whether an impact is more than the start of a lasting contact.
+
+    It is none when it is slow, or when the bodies are pressed together so hard that even the full rebound would end
+    within a contact time: without such a rule, bounces crowd without end.
+
+    Args:
+        speed: of approach [m/s].
+        press: acceleration at which the gap closes in free flight [m/s^2].
+        low_speed: slower is never an impact [m/s].
+        contact_time: shorter is no rebound [s].
+    """
+    return speed > max(low_speed, press * contact_time / 2)
+
+
+@compiled
+def compute_velocity_gain(restitution: float, mass: float, other_mass: float) -> float:
+    """Return what an impact with a body of some mass changes the other one's speed by, per speed of approach.
+
+    alpha = (1 + e) m / (m + m_other), which is (1 + e) m_eff / m_other.
+
+    Args:
+        restitution: e.
+        mass: m, of the body that hits, for example the robot [kg].
+        other_mass: m_other, of the body whose speed changes, for example the object [kg].
+
+    Returns:
+        alpha in v_other+ = v_other- + alpha ((v- - v_other-) . n) n.
+
+    Source: Verhagen & Tumova, Eq. 6.
+    """
+    return (1.0 + restitution) * mass / (mass + other_mass)
+
+
+def compute_mass_fractions(
+    robot_mass: float, object_mass: float, restitution: float
+) -> tuple[float, float, float, float]:
+    """Return m1..m4 with v_R^+ = m1 v_R^- + m2 v_O^- and v_O^+ = m3 v_R^- + m4 v_O^-.
+
+    Args:
+        robot_mass: m_R [kg].
+        object_mass: m_O [kg].
+        restitution: e.
+
+    Returns:
+        The four mass fractions.
+
+    Source: Verhagen & Tumova, Eq. 5.
+    """
+    total = robot_mass + object_mass
+    return (
+        (robot_mass - restitution * object_mass) / total,
+        compute_velocity_gain(restitution, object_mass, robot_mass),
+        compute_velocity_gain(restitution, robot_mass, object_mass),
+        (object_mass - restitution * robot_mass) / total,
+    )
+
+
+@compiled
+def project_impulse(old: float, excess: float, mobility: float, low: float, high: float) -> float:
+    """Return a contact's impulse after one Gauss-Seidel step: p = old - excess / W, kept between low and high.
+
+    Args:
+        old: impulse so far [N s].
+        excess: speed of the contact with it, minus its goal [m/s].
+        mobility: W, inverse of the mass that the impulse feels [1/kg].
+        low, high: 0 and infinity along a normal; minus and plus the bound of friction along a tangent [N s].
+    """
+    return min(max(old - excess / mobility, low), high)
 
 
 def compute_effective_mass(normal: np.ndarray, sides: Sequence[Side]) -> float:
@@ -192,7 +270,7 @@ def _gauss_seidel(W: np.ndarray, speed: np.ndarray, goal: np.ndarray, friction: 
         change = 0.0
         for i, row in enumerate(rows):
             limit = math.inf if friction is None or i < k else friction * p[i - k]
-            new = min(max(p[i] - u[i] / row[i], 0.0 if i < k else -limit), limit)
+            new = project_impulse(p[i], u[i], row[i], 0.0 if i < k else -limit, limit)
             step = new - p[i]
             if step != 0.0:
                 p[i] = new
@@ -213,49 +291,3 @@ def compute_planar_jacobian(arm: np.ndarray) -> np.ndarray:
         J, shape (2, 3).
     """
     return np.array([[1.0, 0.0, -arm[1]], [0.0, 1.0, arm[0]]])
-
-
-def compute_point_impact(
-    mass_robot: float, mass_object: float, v_robot: np.ndarray, v_object: np.ndarray, restitution: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the velocities of two point masses after an impact in which all of the velocity takes part.
-
-    Args:
-        mass_robot, mass_object: m_R, m_O [kg].
-        v_robot, v_object: before the impact, shape (2,) [m/s].
-        restitution: e.
-
-    Returns:
-        Velocities of robot and object after the impact, shape (2,) each [m/s].
-
-    Source: Verhagen & Tumova, Eq. 5.
-    """
-    share = (1 + restitution) / (mass_robot + mass_object)
-    closing = np.asarray(v_robot) - np.asarray(v_object)
-    return v_robot - share * mass_object * closing, v_object + share * mass_robot * closing
-
-
-def compute_disc_impact(
-    mass_robot: float,
-    mass_object: float,
-    v_robot: np.ndarray,
-    v_object: np.ndarray,
-    normal: np.ndarray,
-    restitution: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the velocities of two frictionless discs after an impact; unchanged if they part.
-
-    Args:
-        mass_robot, mass_object: m_R, m_O [kg].
-        v_robot, v_object: before the impact, shape (2,) [m/s].
-        normal: unit vector from robot to object, shape (2,).
-        restitution: e.
-
-    Returns:
-        Velocities of robot and object after the impact, shape (2,) each [m/s].
-
-    Source: Verhagen & Tumova, Eq. 6 and 7 (x' there is the normal).
-    """
-    closing = max(float(normal @ (np.asarray(v_robot) - v_object)), 0.0)
-    impulse = (1 + restitution) * closing * mass_robot * mass_object / (mass_robot + mass_object)
-    return v_robot - impulse / mass_robot * normal, v_object + impulse / mass_object * normal

@@ -161,23 +161,6 @@ def compute_jacobian(w: np.ndarray, lever: np.ndarray, J: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def compute_jacobian_rate(w: np.ndarray, rates: np.ndarray, lever: np.ndarray, dJ: np.ndarray) -> None:
-    """Compute the time derivative of the Jacobian of a point of the chain.
-
-    Args:
-        w, rates: directions and absolute rates, shapes (n + 1, 2) and (n + 1,).
-        lever: of the point, shape (n + 1,) [m].
-        dJ: result, shape (2, n + 3).
-    """
-    dJ[0, 0] = dJ[0, 1] = dJ[1, 0] = dJ[1, 1] = 0.0
-    x = y = 0.0
-    for j in range(len(lever) - 1, -1, -1):
-        x -= lever[j] * rates[j] * w[j, 0]
-        y -= lever[j] * rates[j] * w[j, 1]
-        dJ[0, 2 + j], dJ[1, 2 + j] = x, y
-
-
-@njit(cache=True)
 def compute_point(
     q: np.ndarray, v: np.ndarray, w: np.ndarray, rates: np.ndarray, lever: np.ndarray
 ) -> tuple[float, float, float, float, float, float]:

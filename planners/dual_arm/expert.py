@@ -8,13 +8,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from impact_envs.dual_arm.observation import ARM
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.errors import InputError
 from impact_envs.rollout import Diagnostics
 from planners.dual_arm.impact_prediction import load_impact_map
 from planners.dual_arm.reference_spreading import PAPER, SHIPPED, ReferenceSpreading, Settings
 
-MEASURED = 8  # joint angles, joint rates and forces of one arm
 FIRST_DECISION = 0.02  # after full contact, when it shows how heavy the box is [s]
 DECISION_PERIOD = 0.25  # between corrections [s]
 RANGE = 0.7  # of the logarithms of grip and load, at correction 1
@@ -46,8 +46,8 @@ def make_dual_arm_expert(scenario: DualArmScenario, variant: str | None = None) 
 class DualArmExpert:
     """Grasp the box by a simultaneous impact and carry it to the target: a Policy that also takes corrections.
 
-    An arm's observation begins with its joint angles (3) [rad], its joint rates (3) [rad/s] and the normal forces at
-    the two corners of its pad [N], which serve to detect contact and nothing else.
+    Of an arm's observation it uses its joint angles and rates, and the normal forces at the two corners of its
+    pad, which serve to detect contact and nothing else.
 
     Args:
         scenario: its true physics are not looked at.
@@ -95,7 +95,7 @@ class DualArmExpert:
         """
         self.controller.reset()
         self._diagnostics = Diagnostics()
-        self._rows = np.zeros((2, MEASURED))
+        self._rows = np.zeros((2, ARM.size))
         self._seconds = 0.0
         self._awaiting = False
         self._answer, self._applied = np.zeros(2), np.zeros(2)
@@ -120,7 +120,7 @@ class DualArmExpert:
             observations: arm to its observation.
         """
         begin = time.perf_counter()
-        self._rows = np.array([observations[name][:MEASURED] for name in self._scenario.arms])
+        self._rows = np.array([observations[name][: ARM.size] for name in self._scenario.arms])
         ticks = self.controller.ticks_of_grasp
         self._awaiting = ticks >= self._first and (ticks - self._first) % self._every == 0
         if self._awaiting:
@@ -171,7 +171,7 @@ class DualArmExpert:
                 [controller.ticks_of_grasp * self._scenario.control_period],
                 [switches["post"] - switches.get("interim", switches["post"])],
                 controller.heights,
-                self._rows[:, 6:].ravel(),
+                self._rows[:, ARM["forces"]].ravel(),
                 self._target - controller.box[:3],
                 controller.box[3:],
                 controller.reference_error(),
@@ -189,8 +189,8 @@ class DualArmExpert:
             self._applied = self._applied + np.clip(self._answer - self._applied, -most, most)
             grip, weight = np.exp(RANGE * self._applied)
             self.controller.scale_load(float(grip), float(weight))
-        q, v, forces = self._rows[:, :3].copy(), self._rows[:, 3:6].copy(), self._rows[:, 6:].ravel()
-        actions = self.controller.control(q, v, forces) / self._limits
+        q, v, forces = (self._rows[:, ARM[field]].copy() for field in ("angles", "rates", "forces"))
+        actions = self.controller.control(q, v, forces.ravel()) / self._limits
         self._diagnostics.solve_seconds.append(self._seconds + time.perf_counter() - begin)
         return dict(zip(self._scenario.arms, actions, strict=True))
 

@@ -9,9 +9,10 @@ import pytest
 
 import impact_envs
 from impact_envs import parallel_env, rollout
-from impact_envs.env import EFFORT_WEIGHT
 from impact_envs.errors import InputError
-from impact_envs.free_flyer.observation import VELOCITY_WINDOW, read_observations
+from impact_envs.free_flyer.sensing import VELOCITY_WINDOW
+from impact_envs.observation import Layout
+from impact_envs.reward import EFFORT_WEIGHT
 from impact_envs.rollout import RandomPolicy, ZeroPolicy
 
 SHORT = impact_envs.load_scenario("throw_and_catch").override({"horizon": 5.0, "formula": "F[0,5] pop in goal"})
@@ -63,9 +64,9 @@ def test_joint_env_is_the_parallel_env_seen_as_one():
         vector, reward, *_ = joint.step(action)
         observations, rewards, *_ = parallel.step({"snap": action[:3], "crackle": action[3:]})
         assert reward == pytest.approx(sum(rewards.values()))
-    assert np.array_equal(vector[:7], observations["snap"][:7])
-    assert np.array_equal(vector[7:14], observations["crackle"][:7])
-    assert np.array_equal(vector[14:21], observations["snap"][14:21])
+    joint_layout, layouts = parallel.task.joint_layout, parallel.task.layouts
+    for agent, body in (("snap", "snap"), ("crackle", "crackle"), ("snap", "pop"), ("crackle", "pop")):
+        assert np.array_equal(vector[joint_layout[body]], observations[agent][layouts[agent][body]])
 
 
 def test_observation_reads_back_what_is_true_when_undisturbed():
@@ -73,13 +74,13 @@ def test_observation_reads_back_what_is_true_when_undisturbed():
     observations, _ = env.reset(seed=0)
     for _ in range(50):
         observations, *_ = env.step({"snap": np.array([0.3, 1.0, 0.2]), "crackle": np.array([0.0, -1.0, -0.1])})
-    read = read_observations(env.scenario, observations)
-    truth = dict(zip(env.scenario.bodies, env.model.state(), strict=True))
-    for name, state in {**read.robots, **read.objects}.items():
-        turns = (state - truth[name]) / (2 * np.pi)
-        assert np.allclose(np.delete(state, 4), np.delete(truth[name], 4), atol=1e-12)
-        assert turns[4] == pytest.approx(round(turns[4]), abs=1e-12)
-    assert read.time == pytest.approx(5.0)
+    for agent, vector in observations.items():
+        layout = env.task.layouts[agent]
+        for name, (x, y, vx, vy, heading, omega) in zip(env.scenario.bodies, env.model.state(), strict=True):
+            truth = [x, y, vx, vy, np.cos(heading), np.sin(heading), omega]
+            assert vector[layout[name]] == pytest.approx(truth, abs=1e-12), (agent, name)
+        assert vector[layout["time"]] * env.scenario.horizon == pytest.approx(5.0)
+        assert tuple(vector[layout["robustness"]]) == env.bounds
 
 
 def test_sensing_is_noisy_late_and_without_velocity():
@@ -90,7 +91,7 @@ def test_sensing_is_noisy_late_and_without_velocity():
     measured, true = [], [env.model.state()[0]]
     for _ in range(60):
         observations, *_ = env.step(push)
-        measured.append(read_observations(scenario, observations).robots["snap"])
+        measured.append(observations["snap"][env.task.layouts["snap"]["snap"]])
         true.append(env.model.state()[0])
     measured, late = np.array(measured), np.array(true[:-1])
     error = measured[:, :2] - late[:, :2]
@@ -109,11 +110,11 @@ def test_contact_is_felt_by_the_robot_that_hits():
     push = {"snap": np.array([0.0, 1.0, 0.0]), "crackle": np.zeros(3)}
     for _ in range(50):
         observations, *_ = env.step(push)
-        contact = read_observations(scenario, observations).contact
+        contact = [observations[name][env.task.layouts[name]["contact"]].item() for name in ("snap", "crackle")]
         if env.impacts:
-            assert contact == {"snap": True, "crackle": False}
+            assert contact == [1.0, 0.0]
             break
-        assert not any(contact.values())
+        assert contact == [0.0, 0.0]
     else:
         pytest.fail("the robot never hit the object")
 
@@ -138,6 +139,17 @@ def test_bad_actions_are_said_in_one_line_and_nothing_is_stepped(actions, messag
     assert "\n" not in str(error.value)
     assert env.time == env.model.time == 0.0
     env.step({agent: np.zeros(3) for agent in env.agents})
+
+
+def test_layout_describes_every_element_and_names_its_fields():
+    layout = parallel_env("throw_and_catch").task.layouts["snap"]
+    lines = layout.describe().splitlines()
+    assert len(lines) == layout.size
+    assert lines[layout["pop"].start].split() == [str(layout["pop"].start), "pop:", "x", "[m]"]
+    with pytest.raises(InputError, match="no field 'popp'; did you mean 'pop'"):
+        layout["popp"]
+    with pytest.raises(InputError, match="'time' names two fields"):
+        Layout(("time", ["x [m]"]), ("time", ["time / horizon"]))
 
 
 def test_robots_share_no_memory_in_what_they_observe():

@@ -6,6 +6,7 @@ import pytest
 from impact_envs import list_scenarios, load_scenario
 from impact_envs.domain import find_scenarios
 from impact_envs.errors import ScenarioError
+from impact_envs.free_flyer.schema import DRIFT_X, DRIFT_Y, MASS, RESTITUTION
 
 CORRIDOR = next(path for path in find_scenarios() if path.stem == "corridor").read_text()
 
@@ -116,27 +117,28 @@ def test_hard_suite_tightens_every_deadline():
 def test_draws_stay_in_their_range_and_repeat():
     scenario = load_scenario("throw_and_catch").suite("all")
     drawn = [scenario.draw(np.random.default_rng(seed)) for seed in range(200)]
-    e = np.array([physics.restitution for physics in drawn])
+    pop = scenario.bodies.index("pop")
+    e = np.array([physics.contact[RESTITUTION] for physics in drawn])
     assert np.all((e >= 0.3) & (e <= 0.95))
     assert e.std() > 0.1
-    mass = np.array([physics.masses["pop"] for physics in drawn]) / 16.8
+    mass = np.array([physics.body[pop, MASS] for physics in drawn]) / 16.8
     assert np.all((mass >= 0.7) & (mass <= 1.3))
-    drift = np.array([np.linalg.norm(physics.drift["pop"]) for physics in drawn])
+    drift = np.array([np.linalg.norm(physics.body[pop, DRIFT_X : DRIFT_Y + 1]) for physics in drawn])
     assert np.all(drift <= 1e-3)
     assert drift.max() > 5e-4
     again = scenario.draw(np.random.default_rng(7))
-    assert again.restitution == drawn[7].restitution
-    assert np.array_equal(again.drift["pop"], drawn[7].drift["pop"])
+    assert np.array_equal(again.contact, drawn[7].contact)
+    assert np.array_equal(again.body, drawn[7].body)
 
 
 def test_believed_world_is_undisturbed():
     scenario = load_scenario("corridor").suite("all").as_believed()
-    physics = scenario.draw(np.random.default_rng(0))
-    assert physics.restitution == scenario.believed.restitution
-    assert physics.masses["pop"] == scenario.objects["pop"].mass
-    assert not np.any(physics.drift["pop"])
-    assert physics.position_noise == 0.0
-    assert physics.delay_steps == 0
+    physics, pop = scenario.draw(np.random.default_rng(0)), scenario.bodies.index("pop")
+    assert physics.contact[RESTITUTION] == scenario.believed.restitution
+    assert physics.body[pop, MASS] == scenario.objects["pop"].mass
+    assert not np.any(physics.body[pop, DRIFT_X : DRIFT_Y + 1])
+    assert physics.true.position_noise == 0.0
+    assert physics.true.delay_steps == 0
 
 
 def test_halfspaces_hold_the_corners():

@@ -34,6 +34,11 @@ def make_model(scenario=None, **physics):
     return model
 
 
+def is_pushing(model):
+    """Whether the tip stays at the box: where it only bounces, it is not that near at the end of a control period."""
+    return abs(model.gap) < 1e-9
+
+
 def put_box_before_tip(model, turn=0.0, gap=0.05, aside=0.0):
     """Put the box so that the tip looks at one of its faces, and return the outward normal of that face."""
     states = model.state()
@@ -360,13 +365,13 @@ def test_pressing_on_a_moving_box_neither_penetrates_nor_invents_momentum(e, tur
     put_box_before_tip(model, turn=turn, gap=0.02, aside=0.1)
     pushed, count, smallest = 0, 0, math.inf
     for _ in range(500):
-        before, q, touched = model.energies().sum(), model.coordinates()[0], model.pushing
+        before, q, touched = model.energies().sum(), model.coordinates()[0], is_pushing(model)
         count += len(model.step(press_towards_box(model, 3.0)))
-        pushed += model.pushing
+        pushed += is_pushing(model)
         smallest = min(smallest, model.gap)
         work = model.torques @ (model.coordinates()[0] - q)[3:]
         gain = model.energies().sum() - before
-        if touched and model.pushing:
+        if touched and is_pushing(model):
             assert abs(model.gap) < 1e-12
             assert gain == pytest.approx(work, abs=1e-9)
         else:
@@ -407,7 +412,7 @@ def test_any_contact_keeps_tip_and_box_apart_and_gains_nothing(radius):
         for _ in range(200):
             before, q = model.energies().sum(), model.coordinates()[0]
             impacts += len(model.step(press_towards_box(model, rng.uniform(-5, 15))))
-            pushed += model.pushing
+            pushed += is_pushing(model)
             work = model.torques @ (model.coordinates()[0] - q)[3:]
             assert model.gap > -1e-11
             assert model.energies().sum() - before <= work + 1e-9
@@ -436,13 +441,13 @@ def test_reset_and_pickle_go_on_bit_for_bit():
     model = busy_model()
     first = drive(model, 1, 100)
     assert first[0]
-    assert model.pushing
+    assert is_pushing(model)
     twin = pickle.loads(pickle.dumps(model))
     assert drive(model, 2, 50) == drive(twin, 2, 50)
     assert drive(busy_model(), 1, 100) == first
     model.reset(model.physics)
     assert model.time == 0.0
-    assert not model.pushing
+    assert not is_pushing(model)
 
 
 def test_state_can_be_put_back():

@@ -6,8 +6,20 @@ import numpy as np
 import pytest
 
 from impact_envs import list_scenarios, load_scenario
-from impact_envs.free_flyer.schema import DrawnPhysics
-from impact_envs.stream import draw_doubles, make_stream, seed_streams
+from impact_envs.free_flyer.schema import (
+    DRIFT_X,
+    DRIFT_Y,
+    FRICTION,
+    INERTIA,
+    MASS,
+    OFFSET_X,
+    OFFSET_Y,
+    RESTITUTION,
+    RESTITUTION_SPEED,
+)
+from impact_envs.stream import draw_doubles, seed_streams
+
+TABLES = ("contact", "body", "thruster")
 
 EVERYTHING = {
     "true.restitution": {"uniform": [0.3, 0.9]},
@@ -30,21 +42,6 @@ def draw_rows(scenario, seeds):
     return scenario.draw_many(uniforms), streams
 
 
-def as_row(scenario, physics):
-    """Return one world's physics as a row of DrawnPhysics."""
-    bodies, zero = scenario.bodies, np.zeros(2)
-    return DrawnPhysics(
-        physics.restitution,
-        physics.restitution_speed,
-        physics.friction,
-        [physics.masses[name] for name in bodies],
-        [physics.inertias[name] for name in bodies],
-        [physics.center_of_mass[name] for name in bodies],
-        [physics.drift.get(name, zero) for name in bodies],
-        [physics.thruster_gain[name] for name in scenario.robots],
-    )
-
-
 @pytest.mark.parametrize("name", PLANAR)
 def test_world_of_a_batch_is_the_single_one(name):
     scenario = load_scenario(name)
@@ -52,10 +49,10 @@ def test_world_of_a_batch_is_the_single_one(name):
         drawn, streams = draw_rows(world, range(20))
         for seed in range(20):
             rng = np.random.default_rng(seed)
-            row = as_row(world, world.draw(rng))
-            for field, many, one in zip(DrawnPhysics._fields, drawn, row, strict=True):
-                assert np.array_equal(many[seed], one), (field, seed)
-            assert np.array_equal(streams[seed], make_stream(rng))
+            one = world.draw(rng)
+            for field in TABLES:
+                assert np.array_equal(getattr(drawn, field)[seed], getattr(one, field)), (field, seed)
+            assert draw_doubles(streams, np.array([seed]), 1) == rng.random()
 
 
 def test_worlds_do_not_depend_on_the_batch():
@@ -64,31 +61,33 @@ def test_worlds_do_not_depend_on_the_batch():
     drawn = scenario.draw_many(uniforms)
     for k in range(0, 1000, 7):
         alone = scenario.draw_many(uniforms[k : k + 1])
-        assert all(np.array_equal(many[k], one[0]) for many, one in zip(drawn, alone, strict=True)), k
+        assert all(np.array_equal(getattr(drawn, field)[k], getattr(alone, field)[0]) for field in TABLES), k
 
 
 def test_order_of_draws():
     scenario = load_scenario("throw_and_catch").override(EVERYTHING)
     for seed in range(50):
         physics, rng = scenario.draw(np.random.default_rng(seed)), np.random.default_rng(seed)
-        assert physics.restitution == rng.uniform(0.3, 0.9)
-        assert physics.friction == rng.uniform(0.0, 0.3)
-        for name in scenario.bodies:
+        bodies = dict(zip(scenario.bodies, physics.body, strict=True))
+        assert physics.contact[RESTITUTION] == rng.uniform(0.3, 0.9)
+        assert physics.contact[FRICTION] == rng.uniform(0.0, 0.3)
+        for name, row in bodies.items():
             scale = rng.uniform(0.8, 1.2) if name in scenario.robots else rng.uniform(0.7, 1.3)
-            assert physics.masses[name] == scenario.body(name).mass * scale
-            assert physics.inertias[name] == scenario.body(name).inertia * scale
-        assert physics.restitution_speed == rng.uniform(0.1, 0.9)
-        for vectors, limit in ((physics.center_of_mass, 0.03), (physics.drift, 1e-3)):
+            assert row[MASS] == scenario.body(name).mass * scale
+            assert row[INERTIA] == scenario.body(name).inertia * scale
+        assert physics.contact[RESTITUTION_SPEED] == rng.uniform(0.1, 0.9)
+        for columns, limit in (([OFFSET_X, OFFSET_Y], 0.03), ([DRIFT_X, DRIFT_Y], 1e-3)):
             for name in scenario.objects:
                 length, angle = rng.uniform(0.0, limit), rng.uniform(0.0, 2 * math.pi)
-                assert vectors[name] == pytest.approx([length * math.cos(angle), length * math.sin(angle)], rel=1e-15)
+                expected = [length * math.cos(angle), length * math.sin(angle)]
+                assert bodies[name][columns] == pytest.approx(expected, rel=1e-15)
         gains = {name: rng.uniform(0.8, 1.1) for name in scenario.robots}
         weakest, which = rng.uniform(0.3, 0.7), (rng.random(3) * [len(gains), 2, 2]).astype(int)
-        for i, (name, gain) in enumerate(gains.items()):
+        for i, gain in enumerate(gains.values()):
             expected = np.full((3, 2), gain)
             if i == which[0]:
                 expected[which[1], which[2]] *= weakest
-            assert np.array_equal(physics.thruster_gain[name], expected)
+            assert np.array_equal(physics.thruster[i], expected.ravel())
 
 
 def test_count_of_draws():
@@ -100,7 +99,7 @@ def test_count_of_draws():
 
 def test_one_force_of_one_robot_is_weak():
     scenario = load_scenario("crew").override({"true.weak_thruster": 0.5})
-    gains = draw_rows(scenario, range(4000))[0].thruster_gain
+    gains = draw_rows(scenario, range(4000))[0].thruster.reshape(4000, -1, 3, 2)
     assert np.array_equal(np.sum(gains == 0.5, axis=(1, 2, 3)), np.ones(4000))
     counts = np.sum(gains == 0.5, axis=0)
     assert not np.any(counts[:, 2])  # never the torque
@@ -110,7 +109,7 @@ def test_one_force_of_one_robot_is_weak():
 
 def test_robots_neither_drift_nor_lean():
     drawn, _ = draw_rows(load_scenario("crew").override(EVERYTHING), range(100))
-    robots = drawn.thruster_gain.shape[1]
-    for vectors in (drawn.center_of_mass, drawn.drift):
+    robots = drawn.thruster.shape[1]
+    for vectors in (drawn.body[:, :, OFFSET_X : OFFSET_Y + 1], drawn.body[:, :, DRIFT_X : DRIFT_Y + 1]):
         assert not np.any(vectors[:, :robots])
         assert np.all(np.any(vectors[:, robots:], axis=2))

@@ -1,16 +1,18 @@
 """Sensors of many worlds are those of one, and do what the scenario says."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from impact_envs import load_scenario
 from impact_envs.compiled import retarget
-from impact_envs.free_flyer.observation import Sensors, observed_order, read_observations
+from impact_envs.free_flyer.observation import (
+    Sensors,
+    join_observations,
+    make_joint_layout,
+    make_layout,
+    observed_order,
+)
 from impact_envs.free_flyer.sensing import (
-    BODY_SIZE,
-    TAIL_SIZE,
     VELOCITY_WINDOW,
     Sensing,
     compute_memory_size,
@@ -51,12 +53,8 @@ def make_motion(steps, worlds, seed=0):
 def test_worlds_that_started_at_different_times_are_single_worlds(noise, velocity_measured, delay):
     worlds, steps = 9, 80
     sensing = Sensing(PERIOD, noise, velocity_measured, delay)
-    physics = replace(
-        SCENARIO.draw(np.random.default_rng(0)),
-        position_noise=noise,
-        velocity_measured=velocity_measured,
-        delay_steps=delay,
-    )
+    true = {"position_noise": noise, "velocity_measured": velocity_measured, "delay_steps": delay}
+    physics = SCENARIO.draw(np.random.default_rng(0))._replace(true=SCENARIO.true.model_copy(update=true))
     states, contacts = make_motion(steps, worlds)
     streams, rngs = seed_streams(range(worlds)), [np.random.default_rng(seed) for seed in range(worlds)]
     singles = [Sensors(SCENARIO) for _ in range(worlds)]
@@ -152,8 +150,8 @@ def test_uncompiled_is_the_same():
 def make_observations(states, contacts, fraction, low, high):
     """Return the joint observations and all robots' observations of worlds (worlds, bodies, 6)."""
     worlds = len(states)
-    joint = np.full((worlds, BODY_SIZE * BODIES + ROBOTS + TAIL_SIZE - 1), np.nan)
-    own = np.full((worlds, ROBOTS, BODY_SIZE * BODIES + TAIL_SIZE), np.nan)
+    joint = np.full((worlds, make_joint_layout(SCENARIO).size), np.nan)
+    own = np.full((worlds, ROBOTS, make_layout(SCENARIO, SCENARIO.agents[0]).size), np.nan)
     for k in range(worlds):
         write_joint_observation(k, states, contacts, fraction, low, high, joint)
         for agent in range(ROBOTS):
@@ -174,13 +172,23 @@ def test_layout_of_the_observations():
         assert np.allclose(own[:, agent], expected, rtol=0, atol=1e-15)
 
 
-def test_experts_read_back_what_was_written():
+def test_fields_stand_where_the_layouts_say():
+    states, contacts = (rows[0] for rows in make_motion(1, 1, seed=5))
+    (joint,), (own,) = make_observations(states, contacts, 0.25, -1.5, 2.5)
+    blocks = [(joint, make_joint_layout(SCENARIO), contacts[0])]
+    blocks += [(own[i], make_layout(SCENARIO, name), contacts[0, i]) for i, name in enumerate(SCENARIO.agents)]
+    for vector, layout, felt in blocks:
+        assert layout.size == len(vector)
+        for name, state in zip(SCENARIO.bodies, states[0], strict=True):
+            assert np.array_equal(vector[layout[name]][[0, 1, 2, 3, 6]], state[[0, 1, 2, 3, 5]])
+        assert np.all(vector[layout["contact"]] == felt)
+        assert vector[layout["time"]].tolist() == [0.25]
+        assert vector[layout["robustness"]].tolist() == [-1.5, 2.5]
+
+
+def test_robots_together_observe_what_is_measured_once():
     states, contacts = (rows[0] for rows in make_motion(1, 1, seed=4))
-    _, own = make_observations(states, contacts, 0.5, 0.0, 1.0)
-    read = read_observations(SCENARIO, dict(zip(SCENARIO.agents, own[0], strict=True)))
-    assert read.time == pytest.approx(SCENARIO.horizon / 2)
-    assert list(read.contact.values()) == [bool(c) for c in contacts[0]]
-    for name, state in zip(SCENARIO.bodies, states[0], strict=True):
-        found = {**read.robots, **read.objects}[name]
-        assert np.array_equal(np.delete(found, 4), np.delete(state, 4))
-        assert np.cos(found[4] - state[4]) == pytest.approx(1.0)
+    joint, own = make_observations(states, contacts, 0.5, 0.0, 1.0)
+    joined = np.full_like(joint[0], np.nan)
+    join_observations(SCENARIO, dict(zip(SCENARIO.agents, own[0], strict=True)), joined)
+    assert np.array_equal(joined, joint[0])

@@ -1,0 +1,32 @@
+"""What two arms measure: what stands where in an observation. Experts import this module and never the task."""
+
+from __future__ import annotations
+
+from impact_envs.dual_arm.schema import DualArmScenario
+from impact_envs.observation import Layout
+
+# What is measured of one arm; with "own", "other" or the arm's name before them these are fields of an observation.
+ARM = Layout(
+    ("angles", ("q1 [rad]", "q2 [rad]", "q3 [rad]")),
+    ("rates", ("q1' [rad/s]", "q2' [rad/s]", "q3' [rad/s]")),
+    ("forces", ("normal force at the first corner of its pad [N]", "normal force at the second corner [N]")),
+    (
+        "pad",
+        ("x [m]", "y [m]", "cos(heading)", "sin(heading)", "vx [m/s]", "vy [m/s]", "omega [rad/s]"),
+    ),
+)
+TIME = ("time", ("time / horizon",))
+
+
+def make_layout() -> Layout:
+    """Return the layout of an arm's observation: itself, the other arm, time."""
+    return _make_layout("own", "other")
+
+
+def make_joint_layout(scenario: DualArmScenario) -> Layout:
+    """Return the layout of everything measured once: both arms, time."""
+    return _make_layout(*scenario.arms)
+
+
+def _make_layout(*arms: str) -> Layout:
+    return Layout(*((f"{arm} {name}", elements) for arm in arms for name, elements in ARM.fields.items()), TIME)
