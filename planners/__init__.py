@@ -11,6 +11,7 @@ from impact_envs.scenario import Scenario, load_scenario
 from planners.errors import Infeasible, PlanningError, SolverFailed
 
 if TYPE_CHECKING:
+    from planners.free_flyer.tracking.protocol import Tracker
     from planners.plan import Plan
 
 __all__ = [
@@ -78,20 +79,27 @@ def make_plan(scenario: str | Path | Scenario, objective: str = "robustness", **
     return getattr(import_module(module), name)(loaded.as_believed(), **options)
 
 
-def make_expert(scenario: str | Path | Scenario, plan: Plan | None = None, variant: str | None = None) -> Any:
+def make_expert(
+    scenario: str | Path | Scenario,
+    plan: Plan | None = None,
+    variant: str | None = None,
+    tracker: str | Tracker | None = None,
+) -> Any:
     """Make the expert policy of a scenario; it never sees the true physics.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario.
         plan: to execute; planned now without one, where the domain has a planner.
         variant: a published form or baseline to compare the expert with, see list_variants.
+        tracker: what follows the courses of free-flyers: "mpc" (the default), "lqr", "casadi", "cvxpy", or an object,
+            see docs/trackers.md.
 
     Returns:
         A Policy that also takes corrections (see agents.residual), where the variant does.
 
     Raises:
-        InputError, PlanningError: as make_plan; InputError also when the plan is another scenario's, or the variant is
-            unknown.
+        InputError, PlanningError: as make_plan; InputError also when the plan is another scenario's, or the variant or
+            the tracker is unknown.
     """
     loaded = load_scenario(scenario)
     module, name = EXPERTS[loaded.domain]
@@ -101,6 +109,10 @@ def make_expert(scenario: str | Path | Scenario, plan: Plan | None = None, varia
     if not has_planner(loaded):
         if plan is not None:
             check_planned(loaded)
+        if tracker is not None:
+            raise InputError(
+                f"tracker = {tracker!r}: the expert of domain '{loaded.domain}' has no trackers to choose from"
+            )
         return getattr(import_module(module), name)(loaded.as_believed(), variant)
     if plan is None:
         plan = make_plan(loaded)
@@ -109,7 +121,7 @@ def make_expert(scenario: str | Path | Scenario, plan: Plan | None = None, varia
             f"the plan is for {plan.scenario} with {', '.join(plan.robots)}; "
             f"scenario {loaded.name} has {', '.join(loaded.agents)}"
         )
-    return getattr(import_module(module), name)(loaded.as_believed(), plan, variant)
+    return getattr(import_module(module), name)(loaded.as_believed(), plan, variant, tracker=tracker)
 
 
 def make_expert_batch(
@@ -117,6 +129,7 @@ def make_expert_batch(
     count: int,
     plan: Plan | None = None,
     variant: str | None = None,
+    tracker: str | None = None,
     threads: int = 1,
 ) -> Any:
     """Make the experts of the worlds of a vector environment: ``actions = experts.act(observations)``.
@@ -126,6 +139,7 @@ def make_expert_batch(
         count: how many worlds.
         plan: to execute; planned now without one.
         variant: what the expert is compared with, see list_variants.
+        tracker: "mpc" (the default) or "lqr".
         threads: that share the worlds.
 
     Returns:
@@ -139,7 +153,7 @@ def make_expert_batch(
     from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
 
     chosen = make_plan(loaded) if plan is None else plan
-    return FreeFlyerExpertBatch(loaded.as_believed(), chosen, count, variant, threads=threads)
+    return FreeFlyerExpertBatch(loaded.as_believed(), chosen, count, variant, tracker=tracker, threads=threads)
 
 
 def list_variants(scenario: Scenario) -> tuple[str, ...]:
