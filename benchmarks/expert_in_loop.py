@@ -43,11 +43,13 @@ loop: vector_env or parallel_env (physics, observation, reward, robustness) and 
   MPC takes the place of the tracker in few periods, half of them from the start and half round the first impact.
 act: the whole of the expert's act, observing and replanning included, over the number of robots.
   Of a batch: the mean over worlds and robots, of one period.
-solves: the recorded problems of an episode; each 200 times in a compiled loop by ours, once by CasADi, which is
-  compiled once and starts from its last solution; the reference has the heading free to turn. The published form has
-  10 states and 6 inputs, as its code, but is one problem of scalar expressions where its code has one per position of
-  the impact: faster than what the authors ran.
-off: of a first input from ours, over the limits; the published form has other weights."""
+solves: the recorded problems of an episode, in their order; each 200 times in a compiled loop by mpc and lqr, once by
+  the others, which are compiled once and start from their last solution: a call of `Tracker.track` by casadi, which has
+  the heading free to turn, and by cvxpy, which has the problem of mpc. The published form has 10 states and 6 inputs,
+  as its code, but is one problem of scalar expressions where its code has one per position of the impact: faster than
+  what the authors ran.
+off: of a first input from that of mpc, over the limits; lqr sees no impact and no limit, the published form has other
+  weights."""
 
 
 @dataclass
@@ -119,8 +121,8 @@ def measure_all(args: Args, scenario: FreeFlyerScenario, found: Findings) -> Non
     plan = make_plan(scenario)
     steps = min(args.steps, round(scenario.horizon / scenario.control_period))
     loops = {
-        LQR: make_batch(scenario, plan, args.batch, mpc=False),
-        MPC: make_batch(scenario, plan, args.batch, mpc=True),
+        LQR: make_batch(scenario, plan, args.batch, "lqr"),
+        MPC: make_batch(scenario, plan, args.batch, "mpc"),
         SINGLE: make_single(scenario, plan),
         PUBLISHED: make_published(scenario, plan),
     }
@@ -168,7 +170,7 @@ def make_checks(rows: Sequence[dict[str, Any]], solves: Sequence[dict[str, Any]]
     if {MPC, PUBLISHED} <= loops.keys():
         checks.append((f"{MPC} / {PUBLISHED}", RATIO, loops[MPC]["over published"]))
     checks += [
-        (f"{row['method']} / ours, {row['problems']}", SOLVE_RATIO, row["mean / ours"])
+        (f"{row['method']} / mpc, {row['problems']}", SOLVE_RATIO, row["mean / mpc"])
         for row in solves
         if row["method"] == IPOPT and row["problems"] != "no impact ahead"
     ]

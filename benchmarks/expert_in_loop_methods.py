@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,37 +13,23 @@ from impact_envs import parallel_env, vector_env
 from impact_envs.compiled import compiled
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners import make_expert, make_expert_batch
 from planners.errors import SolverFailed
-from planners.free_flyer.belief.options import Options
-from planners.free_flyer.belief.plan_table import END
-from planners.free_flyer.belief.world_memory import INSERTED, TIME, find_next_event, find_strike
-from planners.free_flyer.closed_loop.tracker import fill_reference
-from planners.free_flyer.expert import FreeFlyerExpert
-from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
-from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF
-from planners.free_flyer.tracking.casadi_mpc import (
-    build_casadi_tracking,
-    build_published_tracking,
-    has_fatrop,
-    solve_casadi_tracking,
-    solve_published_tracking,
-)
-from planners.free_flyer.tracking.mpc import (
-    NO_JUMP,
-    TrackingProblem,
-    Workspace,
-    build_tracking_problem,
-    make_workspace,
-    solve_tracking,
-)
+from planners.free_flyer.published.mpc import PublishedTracker, build_published_tracking, solve_published_tracking
+from planners.free_flyer.tracking.casadi_mpc import CasadiTracker, has_fatrop
+from planners.free_flyer.tracking.cvxpy_mpc import CvxpyTracker
+from planners.free_flyer.tracking.lqr import solve_lqr
+from planners.free_flyer.tracking.mpc import Workspace, make_workspace, solve_tracking
+from planners.free_flyer.tracking.problem import NO_JUMP, TrackingProblem, TrackingTask
+from planners.free_flyer.tracking.trackers import MpcTracker
 from planners.plan import Plan
 
 SEED = 0
 AGAIN = 200  # solves of one problem that are timed together
-OURS = "ours"
+MPC, LQR = "mpc", "lqr"
+CASADI, CVXPY = f"casadi, {'fatrop' if has_fatrop() else 'ipopt'}", "cvxpy, Clarabel"
 PUBLISHED = "published MPC, ipopt"
-REFERENCE = f"reference MPC, {'fatrop' if has_fatrop() else 'ipopt'}"
-FILLED = ("state", "states", "inputs", "durations", "node", "jump")  # of a workspace, what defines the problem
+METHODS = (MPC, LQR, CASADI, CVXPY, PUBLISHED)
 
 
 class Loop(NamedTuple):
@@ -64,17 +51,45 @@ class Problems(NamedTuple):
 
     Attributes:
         problem: what stays the same.
-        workspace: one problem per row.
+        tasks: one a step.
     """
 
     problem: TrackingProblem
-    workspace: Workspace
+    tasks: list[TrackingTask]
 
 
-def make_batch(scenario: FreeFlyerScenario, plan: Plan, batch: int, mpc: bool) -> Loop:
-    """Return the loop of many worlds in one thread, tracking by MPC or by LQR."""
+class Recorder:
+    """Track by the compiled MPC, and keep every tracking problem."""
+
+    def reset(self, problems: Mapping[str, TrackingProblem]) -> None:
+        self._mpc, self.robots = MpcTracker(), {name: Problems(problem, []) for name, problem in problems.items()}
+        self._mpc.reset(problems)
+
+    def track(self, robot: str, task: TrackingTask) -> np.ndarray:
+        self.robots[robot].tasks.append(TrackingTask(*map(np.copy, task)))
+        return self._mpc.track(robot, task)
+
+
+class PublishedInPart:
+    """Track by the published MPC where it is timed, by the compiled one in between."""
+
+    timed = True
+
+    def __init__(self) -> None:
+        self._published, self._quick = PublishedTracker(), MpcTracker()
+
+    def reset(self, problems: Mapping[str, TrackingProblem]) -> None:
+        self._published.reset(problems)
+        self._quick.reset(problems)
+
+    def track(self, robot: str, task: TrackingTask) -> np.ndarray:
+        return (self._published if self.timed else self._quick).track(robot, task)
+
+
+def make_batch(scenario: FreeFlyerScenario, plan: Plan, batch: int, tracker: str) -> Loop:
+    """Return the loop of many worlds in one thread."""
     envs = vector_env(scenario, num_envs=batch, threads=1)
-    expert = FreeFlyerExpertBatch(scenario, plan, batch, options=Options(mpc=mpc))
+    expert = make_expert_batch(scenario, batch, plan, options={"tracker": tracker})
     acts: list[float] = []
 
     def run(steps: int) -> float:
@@ -104,7 +119,7 @@ def play(env: Any, act: Callable[[Any], Any], observations: Any, steps: int, act
 
 def make_single(scenario: FreeFlyerScenario, plan: Plan) -> Loop:
     """Return the loop of one world through the doors that users take."""
-    env, expert = parallel_env(scenario), FreeFlyerExpert(scenario, plan)
+    env, expert = parallel_env(scenario), make_expert(scenario, plan)
     acts: list[float] = []
 
     def run(steps: int) -> float:
@@ -118,85 +133,39 @@ def make_single(scenario: FreeFlyerScenario, plan: Plan) -> Loop:
 def make_published(scenario: FreeFlyerScenario, plan: Plan) -> Loop:
     """Return the loop of one world with the published MPC as tracker: from the start, and round the first impact.
 
-    In between, the expert flies by LQR, which is not timed.
+    In between, the expert flies by the compiled MPC, which is not timed.
 
     Raises:
         InputError: the plan has no impacts.
     """
     if not plan.impacts:
         raise InputError(f"the plan of {plan.scenario} has no impacts: nothing to track the published way")
-    env, expert = parallel_env(scenario), FreeFlyerExpert(scenario, plan, options=Options(mpc=False))
-    problems = [build_tracking_problem(robot, scenario.control_period) for robot in scenario.robots.values()]
-    solvers, acts = [build_published_tracking(problem) for problem in problems], list[float]()
+    tracker, acts = PublishedInPart(), list[float]()
+    env, expert = parallel_env(scenario), make_expert(scenario, plan, options={"tracker": tracker})
     impact = round(plan.impacts[0].time / scenario.control_period)
-
-    def act(observations: Any) -> dict[str, np.ndarray]:
-        actions = expert.act(observations)
-        for r, name in enumerate(scenario.agents):
-            fill(expert, r)
-            try:
-                first = solve_published_tracking(solvers[r], expert.workspace)
-            except SolverFailed:
-                first = np.zeros(3)  # as the published code
-            actions[name] = np.clip(first / problems[r].limits, -1.0, 1.0)
-            note_push(expert, r, actions[name], problems[r])
-        return actions
 
     def run(steps: int) -> float:
         acts.clear()
         expert.reset(SEED)
         early = min((steps + 1) // 2, impact)
-        observations, first = play(env, act, env.reset(seed=SEED)[0], early, acts)
+        tracker.timed = True
+        observations, first = play(env, expert.act, env.reset(seed=SEED)[0], early, acts)
+        tracker.timed = False
         flown = max(impact - (steps - early) // 2 - early, 0)
         observations, _ = play(env, expert.act, observations, flown, [])
-        return first + play(env, act, observations, steps - early, acts)[1]
+        tracker.timed = True
+        return first + play(env, expert.act, observations, steps - early, acts)[1]
 
     return Loop(1, run, acts)
 
 
-def fill(expert: FreeFlyerExpert, r: int) -> None:
-    """Write robot r's tracking problem into the expert's workspace, as the expert does."""
-    table, memory, workspace = expert.table, expert.memory, expert.workspace
-    o = find_strike(memory, 0, r)
-    if o != END:
-        strike = memory.strike[0, o]
-        if strike[INSERTED] == 0.0 and strike[TIME] > find_next_event(table, memory, 0, r)[0] + ROUND_OFF:
-            o = END
-    fill_reference(table, memory, workspace, 0, 0, r, o)
-    z, heading = memory.filter[0, r], memory.heading[0, r]
-    workspace.state[0] = z[0], z[1], heading[0], z[2], z[3], heading[1]
-
-
-def note_push(expert: FreeFlyerExpert, r: int, action: np.ndarray, problem: TrackingProblem) -> None:
-    """Tell the expert's estimator which acceleration an action will cause."""
-    heading, rate = expert.memory.heading[0, r]
-    turned = heading + rate * problem.period / 2
-    push = action[:2] * problem.limits[:2] * problem.gains[:2]
-    c, s = np.cos(turned), np.sin(turned)
-    expert.memory.push[0, r] = c * push[0] - s * push[1], s * push[0] + c * push[1]
-
-
 def record_problems(scenario: FreeFlyerScenario, plan: Plan, steps: int) -> list[Problems]:
     """Play an episode and return every robot's tracking problems."""
-    env, expert = parallel_env(scenario), FreeFlyerExpert(scenario, plan)
-    robots = list(scenario.robots.values())
-    found = [
-        Problems(build_tracking_problem(robot, scenario.control_period), make_workspace(steps)) for robot in robots
-    ]
-
-    def act(observations: Any) -> Any:
-        actions = expert.act(observations)
-        k = len(acts)
-        for r, (_, workspace) in enumerate(found):
-            fill(expert, r)
-            for name in FILLED:
-                getattr(workspace, name)[k] = getattr(expert.workspace, name)[0]
-        return actions
-
+    recorder = Recorder()
+    env, expert = parallel_env(scenario), make_expert(scenario, plan, tracker=recorder)
     expert.reset(SEED)
-    acts: list[float] = []
-    play(env, act, env.reset(seed=SEED)[0], steps, acts)
-    return found
+    play(env, expert.act, env.reset(seed=SEED)[0], steps, [])
+    return list(recorder.robots.values())
 
 
 @compiled
@@ -206,6 +175,15 @@ def solve_again(workspace: Workspace, c: int, pilot: np.ndarray, count: int) -> 
     for _ in range(count):
         solved = solve_tracking(workspace, c, pilot)
     return solved
+
+
+@compiled
+def feed_back_again(
+    state: np.ndarray, states: np.ndarray, ax: float, ay: float, pilot: np.ndarray, first: np.ndarray, count: int
+) -> None:
+    """Compute one problem's LQR input so many times."""
+    for _ in range(count):
+        solve_lqr(state, states[0], ax, ay, pilot, first)
 
 
 class Solve(NamedTuple):
@@ -218,45 +196,74 @@ class Solve(NamedTuple):
     seconds: float
 
 
+def make_methods(problem: TrackingProblem) -> dict[str, Callable[[TrackingTask], tuple[np.ndarray, float]]]:
+    """Return functions of a task that return the first input and the CPU time [s]; compiled ones loop for it."""
+    workspace, pilot, first, names = make_workspace(), problem.row, np.zeros(3), {"robot": problem}
+    published, casadi, cvxpy = build_published_tracking(problem), CasadiTracker(), CvxpyTracker()
+    casadi.reset(names)
+    cvxpy.reset(names)
+
+    def by_mpc(task: TrackingTask) -> tuple[np.ndarray, float]:
+        for column, value in zip(workspace, task, strict=False):
+            column[0] = value
+        begin = time.thread_time()
+        solved = solve_again(workspace, 0, pilot, AGAIN)
+        seconds = (time.thread_time() - begin) / AGAIN
+        if not solved:
+            raise SolverFailed(MPC, "not solved", "allow more Newton steps")
+        return workspace.solution[0, :3].copy(), seconds
+
+    def by_lqr(task: TrackingTask) -> tuple[np.ndarray, float]:
+        ax, ay = (task.states[1, 3:5] - task.states[0, 3:5]) / task.durations[0]
+        begin = time.thread_time()
+        feed_back_again(task.state, task.states, ax, ay, pilot, first, AGAIN)
+        return first.copy(), (time.thread_time() - begin) / AGAIN
+
+    def by_call(track: Callable[[TrackingTask], np.ndarray], task: TrackingTask) -> tuple[np.ndarray, float]:
+        begin = time.thread_time()
+        inputs = track(task)
+        return inputs.ravel()[:3], time.thread_time() - begin
+
+    return {
+        MPC: by_mpc,
+        LQR: by_lqr,
+        CASADI: partial(by_call, partial(casadi.track, "robot")),
+        CVXPY: partial(by_call, partial(cvxpy.track, "robot")),
+        PUBLISHED: partial(by_call, partial(solve_published_tracking, published)),
+    }
+
+
 def solve_all(robots: list[Problems]) -> Iterator[Solve]:
-    """Solve every problem by ours, by CasADi with the heading free, and in the published form."""
+    """Solve every problem by every method, each from its own last solution."""
     count = 0
-    for problem, workspace in robots:
-        peers = {
-            REFERENCE: (build_casadi_tracking(problem), solve_casadi_tracking),
-            PUBLISHED: (build_published_tracking(problem), solve_published_tracking),
-        }
-        pilot = problem.row
-        solve_again(workspace, 0, pilot, 1)  # compiles
-        for k, node in enumerate(workspace.node.tolist()):
-            begin = time.thread_time()
-            solved = solve_again(workspace, k, pilot, AGAIN)
-            seconds = (time.thread_time() - begin) / AGAIN
-            first = workspace.solution[k, :3] / problem.limits if solved else np.full(3, np.nan)
-            yield Solve(OURS, count, node != NO_JUMP, first, seconds)
-            for name, (mpc, solve) in peers.items():
+    for problem, tasks in robots:
+        methods = make_methods(problem)
+        for solve in methods.values():
+            solve(tasks[0])  # compiles
+        for task in tasks:
+            for name, solve in methods.items():
                 try:
-                    first = np.ravel(solve(mpc, workspace, k))[:3] / problem.limits
+                    first, seconds = solve(task)
                 except SolverFailed:
-                    first = np.full(3, np.nan)
-                yield Solve(name, count, node != NO_JUMP, first, mpc.seconds)
+                    first, seconds = np.full(3, np.nan), np.nan
+                yield Solve(name, count, task.node != NO_JUMP, first / problem.limits, seconds)
             count += 1
 
 
 def time_solvers(robots: list[Problems]) -> list[dict[str, Any]]:
-    """Return rows of how long all methods take for the same problems, and how far their first inputs are from ours."""
+    """Return how long each method takes for the same problems, and how far its first inputs are from the MPC's."""
     solves, rows = list(solve_all(robots)), []
-    ours = {solve.problem: solve.first for solve in solves if solve.method == OURS}
+    reference = {solve.problem: solve.first for solve in solves if solve.method == MPC}
     for where, jumps in (("all", (False, True)), ("no impact ahead", (False,)), ("impact ahead", (True,))):
         base = np.nan
-        for name in (OURS, REFERENCE, PUBLISHED):
+        for name in METHODS:
             chosen = [solve for solve in solves if solve.method == name and solve.jumps in jumps]
             done = [solve for solve in chosen if np.isfinite(solve.first).all()]
             if not done:
                 continue
             seconds = np.array([solve.seconds for solve in done])
-            off = [np.abs(solve.first - ours[solve.problem]).max() for solve in done]
-            base = seconds.mean() if name == OURS else base
+            off = [np.abs(solve.first - reference[solve.problem]).max() for solve in done]
+            base = seconds.mean() if name == MPC else base
             p50, p99 = np.percentile(seconds, [50, 99]) * 1e6
             near, far = np.nanpercentile(off, [50, 99])
             row = {"problems": where, "method": name, "solves": len(chosen), "failed": len(chosen) - len(done)}
@@ -264,7 +271,7 @@ def time_solvers(robots: list[Problems]) -> list[dict[str, Any]]:
                 "mean [us]": seconds.mean() * 1e6,
                 "p50 [us]": p50,
                 "p99 [us]": p99,
-                "mean / ours": seconds.mean() / base,
+                "mean / mpc": seconds.mean() / base,
             }
             rows.append(row | {"off p50": near, "off p99": far})
     return rows

@@ -14,6 +14,7 @@ from planners.options import list_options as flatten
 from planners.options import replace_options
 
 if TYPE_CHECKING:
+    from planners.free_flyer.tracking.protocol import Tracker
     from planners.plan import Plan
 
 __all__ = [
@@ -59,6 +60,7 @@ def make_expert(
     plan: Plan | None = None,
     variant: str | None = None,
     options: Mapping[str, Any] | None = None,
+    tracker: str | Tracker | None = None,
 ) -> Any:
     """Make the expert policy of a scenario; it never sees the true physics.
 
@@ -67,16 +69,23 @@ def make_expert(
         plan: to execute; by default planned now, where the domain has a planner.
         variant: a published form or baseline to compare the expert with, see list_variants; default: the expert.
         options: dotted name to value, see list_options, for example ``{"retiming.frozen": 3.0}``.
+        tracker: what follows the courses of free-flyers: a name or an object, see docs/trackers.md.
 
     Returns:
         A Policy that also takes corrections (see agents.residual), where the variant does.
 
     Raises:
         InputError, PlanningError: as make_plan; InputError also when the plan is another scenario's, or the variant or
-            an option is unknown.
+            an option is unknown, or the expert has no trackers to choose from.
     """
     loaded = load_scenario(scenario)
     arguments = _choose(loaded, variant, options)
+    if tracker is not None:
+        if "tracker" not in list_options(loaded, variant):
+            raise InputError(
+                f"tracker = {tracker!r}: the expert of domain '{loaded.domain}' has no trackers to choose from"
+            )
+        arguments["tracker"] = tracker
     make = find_part("planners", loaded.domain, "EXPERT")
     if not has_planner(loaded):
         if plan is not None:

@@ -16,7 +16,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.rollout import Diagnostics
 from planners.free_flyer.belief.estimator import extrapolate
 from planners.free_flyer.belief.impact_parameters import NOW, compute_gain_spread, compute_pair_gain, find_row, get_pair
-from planners.free_flyer.belief.options import Options, get_options
+from planners.free_flyer.belief.options import Options, encode_options, get_options
 from planners.free_flyer.belief.plan_table import END, MASS, PLACE_X, PLACE_Y, ROBOT, make_plan_table
 from planners.free_flyer.belief.world_memory import (
     AGENT,
@@ -31,11 +31,14 @@ from planners.free_flyer.belief.world_memory import (
     make_world_memory,
 )
 from planners.free_flyer.closed_loop.background import Background
-from planners.free_flyer.closed_loop.world_loop import ADOPT, CONTROL, OBSERVE, START, run_experts
+from planners.free_flyer.closed_loop.world_loop import ADOPT, APPLY, CONTROL, OBSERVE, PREPARE, START, run_experts
 from planners.free_flyer.impact_law import compute_velocity_gain
 from planners.free_flyer.next_impact.desired_velocity import aim, find_next_knot
 from planners.free_flyer.next_impact.reoptimisation import make_program
 from planners.free_flyer.tracking.mpc import make_workspace
+from planners.free_flyer.tracking.problem import build_tracking_problem
+from planners.free_flyer.tracking.protocol import Tracker, call_tracker
+from planners.free_flyer.tracking.trackers import find_tracker
 from planners.plan import Plan
 
 ONE_HOT = 6
@@ -92,6 +95,7 @@ class FreeFlyerExpert:
         plan: to execute.
         variant: of `options.VARIANTS`, what the expert is compared with; the expert itself without.
         options: parts of the loop, instead of a variant's.
+        tracker: a name of `trackers.TRACKERS` or an object, instead of the options'.
 
     Attributes:
         name: of the policy.
@@ -99,7 +103,7 @@ class FreeFlyerExpert:
         plan: that is executed.
 
     Raises:
-        InputError: the plan is for other bodies or another horizon, or the variant is unknown.
+        InputError: the plan is for other bodies or another horizon, or the variant or the tracker is unknown.
 
     Source: Verhagen & Tumova, Secs. VI and VII.
     """
@@ -108,21 +112,31 @@ class FreeFlyerExpert:
     feature_size = ONE_HOT + 21
 
     def __init__(
-        self, scenario: FreeFlyerScenario, plan: Plan, variant: str | None = None, options: Options | None = None
+        self,
+        scenario: FreeFlyerScenario,
+        plan: Plan,
+        variant: str | None = None,
+        options: Options | None = None,
+        tracker: str | Tracker | None = None,
     ) -> None:
         check_plan(scenario, plan)
         announce(run_experts)
         self.name, self.plan = variant or "expert", plan
-        self.options = get_options(variant) if options is None else options
+        chosen = get_options(variant) if options is None else options
+        name, self._tracker = find_tracker(chosen.tracker if tracker is None else tracker)
+        self.options = chosen._replace(tracker=name)
         self._scenario = scenario.as_believed()
         self.table = make_plan_table(self._scenario, plan)
-        self.memory, self.workspace = make_world_memory(self.table, 1), make_workspace()
         robots, bodies = len(scenario.robots), len(scenario.bodies)
+        self.memory = make_world_memory(self.table, 1)
+        self.workspace = make_workspace(1 if self._tracker is None else robots)
+        period = scenario.control_period
+        self._problems = {name: build_tracking_problem(robot, period) for name, robot in self._scenario.robots.items()}
         self._joint = np.zeros((1, BODY_SIZE * bodies + robots + TAIL_SIZE - 1))
         self._actions, self._due = np.zeros((1, robots, 3)), np.full(1, END)
         self._planned = self.table
         self._background = Background(self._scenario)
-        tables = self.memory, self.options, self.workspace, make_program()
+        tables = self.memory, encode_options(self.options), self.workspace, make_program()
         self._arrays = tuple(tuple(table) for table in tables)
         place = {name: i for i, name in enumerate(scenario.bodies)}
         self._order = [place[name] for name in observed_order(scenario, scenario.agents[0])]
@@ -139,6 +153,8 @@ class FreeFlyerExpert:
         self._seconds, self._solve_seconds = 0.0, list[float]()
         self.table = self._planned
         self._background.forget(0)
+        if self._tracker is not None:
+            self._tracker.reset(self._problems)
         self._run(START)
 
     def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -265,10 +281,17 @@ class FreeFlyerExpert:
             Robot to action in [-1, 1], shape (3,): body-frame forces and torque over their limits.
         """
         begin = time.perf_counter()
-        self._run(CONTROL)
+        if self._tracker is None:
+            self._run(CONTROL)
+        else:
+            for r, name in enumerate(self._scenario.agents):
+                self._run(PREPARE, r)
+                call_tracker(self._tracker, name, self.workspace, r)
+                self._run(APPLY, r)
         self._due[0] = END
         self._solve_seconds.append(self._seconds + time.perf_counter() - begin)
         return dict(zip(self._scenario.agents, self._actions[0].copy(), strict=True))
 
-    def _run(self, phase: int) -> None:
-        cast(Any, run_experts)(tuple(self.table), *self._arrays, self._joint, self._actions, self._due, phase, 0, 0, 1)
+    def _run(self, phase: int, row: int = 0) -> None:
+        arrays = self._joint, self._actions, self._due
+        cast(Any, run_experts)(tuple(self.table), *self._arrays, *arrays, phase, row, 0, 1)

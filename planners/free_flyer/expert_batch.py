@@ -11,7 +11,7 @@ from impact_envs.compiled import announce
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners.free_flyer.belief.options import Options, get_options
+from planners.free_flyer.belief.options import Options, encode_options, get_options
 from planners.free_flyer.belief.plan_table import END, PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
@@ -19,6 +19,8 @@ from planners.free_flyer.closed_loop.world_loop import ACT, ADOPT, run_experts
 from planners.free_flyer.expert import check_plan
 from planners.free_flyer.next_impact.reoptimisation import make_program
 from planners.free_flyer.tracking.mpc import make_workspace
+from planners.free_flyer.tracking.protocol import Tracker
+from planners.free_flyer.tracking.trackers import check_compiled
 from planners.plan import Plan
 
 
@@ -31,10 +33,12 @@ class FreeFlyerExpertBatch:
         count: N.
         variant: of `options.VARIANTS`; the expert itself without.
         options: parts of the loop, instead of a variant's.
+        tracker: a name of `trackers.COMPILED`, instead of the options'.
         threads: that share the worlds.
 
     Raises:
-        InputError: the plan is for other bodies or another horizon, or the variant is unknown.
+        InputError: the plan is for other bodies or another horizon, or the variant is unknown, or the tracker
+            is not a compiled one.
     """
 
     def __init__(
@@ -44,6 +48,7 @@ class FreeFlyerExpertBatch:
         count: int,
         variant: str | None = None,
         options: Options | None = None,
+        tracker: str | Tracker | None = None,
         threads: int = 1,
     ) -> None:
         check_plan(scenario, plan)
@@ -58,9 +63,10 @@ class FreeFlyerExpertBatch:
         self.memory = make_world_memory(self._table, count)
         self._threads = min(threads, count)
         chosen = get_options(variant) if options is None else options
+        chosen = chosen._replace(tracker=check_compiled(chosen.tracker if tracker is None else tracker))
         workspace, program = make_workspace(self._threads), make_program(self._threads)
         self._plan_anew = chosen.plan_anew
-        self._arrays = tuple(self.memory), tuple(chosen), tuple(workspace), tuple(program)
+        self._arrays = tuple(self.memory), encode_options(chosen), tuple(workspace), tuple(program)
         self._due = np.full(count, END)
         self._pool: ThreadPoolExecutor | None = None
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from impact_envs.errors import InputError, choices
+
+# Options.tracker in compiled code: by the compiled MPC, by LQR, by an object that Python calls.
+BY_MPC, BY_LQR, BY_OBJECT = range(3)
 
 
 class Options(NamedTuple):
@@ -19,7 +22,7 @@ class Options(NamedTuple):
         reoptimise: choose times and places of the impacts that are left anew after each one.
         plan_anew: plan the rest in the background, with who hits what open, where that fails.
         avoid: keep off bodies that are not to be hit.
-        mpc: track by MPC; otherwise by LQR.
+        tracker: what follows the courses, a name of `tracking.trackers.TRACKERS`.
     """
 
     once: bool = False
@@ -30,7 +33,7 @@ class Options(NamedTuple):
     reoptimise: bool = True
     plan_anew: bool = True
     avoid: bool = True
-    mpc: bool = True
+    tracker: str = "mpc"
 
 
 EXPERT = Options()
@@ -58,3 +61,8 @@ def get_options(variant: str | None) -> Options:
     if variant not in VARIANTS:
         raise InputError(f"variant '{variant}' is unknown; {choices(variant, VARIANTS)}")
     return VARIANTS[variant]
+
+
+def encode_options(options: Options) -> tuple[Any, ...]:
+    """Return the options as compiled code takes them: the tracker as its number."""
+    return tuple(options._replace(tracker={"mpc": BY_MPC, "lqr": BY_LQR}.get(options.tracker, BY_OBJECT)))  # type: ignore[arg-type]

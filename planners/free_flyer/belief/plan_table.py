@@ -9,7 +9,7 @@ import numpy as np
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.free_flyer.specification.impact_demand import Knot, find_knots, find_own_faces
 from planners.free_flyer.tracking.course import convert_curve
-from planners.free_flyer.tracking.mpc import build_tracking_problem
+from planners.free_flyer.tracking.problem import build_tracking_problem
 from planners.plan import Plan
 
 # Columns of PlanTable.body.

@@ -1,4 +1,4 @@
-"""Follow a course: reference over the horizon, MPC with its fallbacks or LQR, and keeping off others; compiled."""
+"""Follow a course: fill the tracking problem, solve it, apply the solution or a fallback, keep off others; compiled."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from impact_envs.compiled import compiled
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain, get_pair
-from planners.free_flyer.belief.options import Options
+from planners.free_flyer.belief.options import BY_LQR, BY_MPC, Options
 from planners.free_flyer.belief.plan_table import (
     END,
     HOME,
@@ -29,7 +29,8 @@ from planners.free_flyer.belief.world_memory import (
 )
 from planners.free_flyer.closed_loop.avoidance import keep_off
 from planners.free_flyer.tracking.course import IMPACT, evaluate_course
-from planners.free_flyer.tracking.mpc import FEEDBACK, GAIN, INPUT_LIMIT, NO_JUMP, STAGES, Workspace, solve_tracking
+from planners.free_flyer.tracking.lqr import solve_lqr
+from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT, NO_JUMP, STAGES, Workspace, solve_tracking
 
 
 @compiled
@@ -44,46 +45,60 @@ def track(
     o: int,
     actions: np.ndarray,
 ) -> None:
-    """Write robot r's action, and remember the acceleration it should cause."""
-    now, h, pilot, z = memory.time[k], plan.period, plan.pilot[r], memory.filter[k, r]
-    heading, rate = memory.heading[k, r, 0], memory.heading[k, r, 1]
-    solved = False
-    if options.mpc:
+    """Write robot r's action by a compiled tracker: the three steps of a tracker in one go."""
+    fill_state(memory, workspace, c, k, r)
+    if options.tracker == BY_MPC:
         fill_reference(plan, memory, workspace, c, k, r, o)
-        state = workspace.state[c]
-        state[0], state[1], state[2], state[3], state[4], state[5] = z[0], z[1], heading, z[2], z[3], rate
-        solved = solve_tracking(workspace, c, pilot)
+        workspace.solved[c] = STAGES if solve_tracking(workspace, c, plan.pilot[r]) else 0
+    apply_solution(plan, memory, options, workspace, c, k, r, o, actions)
+
+
+@compiled
+def fill_state(memory: WorldMemory, workspace: Workspace, c: int, k: int, r: int) -> None:
+    """Write robot r's estimated state into the tracking problem."""
+    z, heading, rate = memory.filter[k, r], memory.heading[k, r, 0], memory.heading[k, r, 1]
+    state = workspace.state[c]
+    state[0], state[1], state[2], state[3], state[4], state[5] = z[0], z[1], heading, z[2], z[3], rate
+
+
+@compiled
+def apply_solution(
+    plan: PlanTable,
+    memory: WorldMemory,
+    options: Options,
+    workspace: Workspace,
+    c: int,
+    k: int,
+    r: int,
+    o: int,
+    actions: np.ndarray,
+) -> None:
+    """Write robot r's action, and remember the acceleration it should cause.
+
+    The fallbacks: what is left of the last solution, then LQR; each is counted.
+    """
+    h, pilot = plan.period, plan.pilot[r]
+    heading, rate = memory.heading[k, r, 0], memory.heading[k, r, 1]
+    left = 0
+    if options.tracker != BY_LQR:
         shifted = memory.shifted[k, r]
-        left = int(shifted[3 * STAGES])
-        if solved:
-            for i in range(3 * STAGES):
+        solved, left = workspace.solved[c], int(shifted[3 * STAGES])
+        if solved > 0:
+            for i in range(3 * solved):
                 shifted[i] = workspace.solution[c, i]
-            left = STAGES
+            left = solved
         elif left > 0:
             memory.counts[k, SHIFTED_PLAN] += 1
+        else:
+            memory.counts[k, LQR] += 1
         if left > 0:
             for i in range(3):
                 actions[k, r, i] = shifted[i]
             for i in range(3 * (left - 1)):
                 shifted[i] = shifted[i + 3]
             shifted[3 * STAGES] = left - 1
-        solved = left > 0
-    if not solved:
-        if options.mpc:
-            memory.counts[k, LQR] += 1
-        here = evaluate_course(memory.course, plan.breaks, plan.coefficients, k, r, now)
-        ahead = evaluate_course(memory.course, plan.breaks, plan.coefficients, k, r, now + h)
-        # World-frame acceleration: feed-forward and feedback of the axes.
-        ax = (ahead[2] - here[2]) / h
-        ay = (ahead[3] - here[3]) / h
-        g = pilot[GAIN]
-        ax -= g * (pilot[FEEDBACK] * (z[0] - here[0]) + pilot[FEEDBACK + 1] * (z[2] - here[2]))
-        ay -= g * (pilot[FEEDBACK + 2] * (z[1] - here[1]) + pilot[FEEDBACK + 3] * (z[3] - here[3]))
-        cos, sin = math.cos(heading), math.sin(heading)
-        actions[k, r, 0] = (cos * ax + sin * ay) / g
-        actions[k, r, 1] = (cos * ay - sin * ax) / g
-        turn = heading - plan.body[r, HOME]
-        actions[k, r, 2] = -pilot[FEEDBACK + 4] * turn - pilot[FEEDBACK + 5] * rate
+    if left == 0:
+        feed_back(plan, memory, workspace, c, k, r, actions)
     if options.avoid:
         g, cos, sin = pilot[GAIN], math.cos(heading), math.sin(heading)
         ax = g * (cos * actions[k, r, 0] - sin * actions[k, r, 1])
@@ -100,6 +115,21 @@ def track(
     fx, fy = actions[k, r, 0] * pilot[INPUT_LIMIT], actions[k, r, 1] * pilot[INPUT_LIMIT + 1]
     memory.push[k, r, 0] = (cos * fx - sin * fy) * pilot[GAIN]
     memory.push[k, r, 1] = (sin * fx + cos * fy) * pilot[GAIN]
+
+
+@compiled
+def feed_back(
+    plan: PlanTable, memory: WorldMemory, workspace: Workspace, c: int, k: int, r: int, actions: np.ndarray
+) -> None:
+    """Write robot r's input by LQR on its course."""
+    now, h, reference = memory.time[k], plan.period, workspace.states[c, 0]
+    here = evaluate_course(memory.course, plan.breaks, plan.coefficients, k, r, now)
+    ahead = evaluate_course(memory.course, plan.breaks, plan.coefficients, k, r, now + h)
+    reference[0], reference[1], reference[2] = here[0], here[1], plan.body[r, HOME]
+    reference[3], reference[4], reference[5] = here[2], here[3], 0.0
+    ax = (ahead[2] - here[2]) / h
+    ay = (ahead[3] - here[3]) / h
+    solve_lqr(workspace.state[c], reference, ax, ay, plan.pilot[r], actions[k, r])
 
 
 @compiled

@@ -32,7 +32,7 @@ from planners.free_flyer.belief.world_memory import (
     find_next_event,
     find_strike,
 )
-from planners.free_flyer.closed_loop.tracker import track
+from planners.free_flyer.closed_loop.tracker import apply_solution, fill_reference, fill_state, track
 from planners.free_flyer.next_impact.bookkeeping import (
     REPLAN_LAST,
     REPLAN_PERIOD,
@@ -56,7 +56,7 @@ from planners.free_flyer.tracking.course import IMPACT
 from planners.free_flyer.tracking.mpc import STAGES, Workspace
 
 # What to do with the worlds.
-START, OBSERVE, CONTROL, ACT, ADOPT = range(5)
+START, OBSERVE, CONTROL, ACT, ADOPT, PREPARE, APPLY = range(7)
 REPLAN_WINDOW = 20.0  # before an impact [s]
 
 
@@ -144,6 +144,29 @@ def control_world(
         k: world.
         actions: body-frame forces and torque over their limits, written, shape (N, r, 3).
     """
+    take_corrections(plan, memory, options, k)
+    for r in range(plan.robots):
+        o = replan_robot(plan, memory, options, k, r)
+        track(plan, memory, options, workspace, c, k, r, o, actions)
+
+
+@compiled
+def prepare_robot(plan: PlanTable, memory: WorldMemory, options: Options, workspace: Workspace, k: int, r: int) -> None:
+    """Do what comes before robot r's tracker: replan where it is time to, and fill row r of the workspace.
+
+    Robots are prepared in their order, each after the one before it acts: so does `control_world`.
+    """
+    if r == 0:
+        take_corrections(plan, memory, options, k)
+    o = replan_robot(plan, memory, options, k, r)
+    workspace.target[r] = o
+    fill_state(memory, workspace, r, k, r)
+    fill_reference(plan, memory, workspace, r, k, r, o)
+
+
+@compiled
+def take_corrections(plan: PlanTable, memory: WorldMemory, options: Options, k: int) -> None:
+    """Take the corrections that are due as they are now; the courses to their impacts are planned anew."""
     now = memory.time[k]
     due = find_due(plan, memory, k, now)
     while due != END:
@@ -151,16 +174,21 @@ def control_world(
         if not options.once:
             memory.strike[k, due, REPLANNED] = -math.inf
         due = find_due(plan, memory, k, now)
-    for r in range(plan.robots):
-        o = find_strike(memory, k, r)
-        if o != END:
-            strike = memory.strike[k, o]
-            event, _, _ = find_next_event(plan, memory, k, r)
-            if strike[INSERTED] == 0.0 and strike[TIME] > event + ROUND_OFF:
-                o = END
-            elif should_replan(memory, options, k, r, o, now):
-                replan(plan, memory, options, k, r, o, now)
-        track(plan, memory, options, workspace, c, k, r, o, actions)
+
+
+@compiled
+def replan_robot(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int) -> int:
+    """Replan robot r's course where it is time to; return the object it is to hit, or END."""
+    now = memory.time[k]
+    o = find_strike(memory, k, r)
+    if o != END:
+        strike = memory.strike[k, o]
+        event, _, _ = find_next_event(plan, memory, k, r)
+        if strike[INSERTED] == 0.0 and strike[TIME] > event + ROUND_OFF:
+            o = END
+        elif should_replan(memory, options, k, r, o, now):
+            replan(plan, memory, options, k, r, o, now)
+    return o
 
 
 @compiled
@@ -217,14 +245,16 @@ def run_experts(
 ) -> None:
     """Start, observe or control the worlds from first to before end; plain tuples pass three times faster from Python.
 
+    A tracker that is no compiled one is called between PREPARE and APPLY of each robot.
+
     Args:
         plan, memory, options, workspace, program: the fields of PlanTable, WorldMemory, Options, Workspace, Program.
         joint: everything measured once, shape (N, 7 n + r + 3).
-        actions: written by CONTROL and ACT, shape (N, r, 3).
+        actions: written by CONTROL, ACT and APPLY, shape (N, r, 3).
         due: object whose coming impact's correction is due, or END, written by START and OBSERVE, shape (N,).
         phase: START, OBSERVE, CONTROL; ACT: observe and control, and start where time is 0; ADOPT: go on with a new
-            plan.
-        c: thread.
+            plan; PREPARE, APPLY: control one robot.
+        c: thread; of PREPARE and APPLY the robot, which has the workspace's row of its number.
         first, end: range of worlds.
     """
     plan_, memory_ = PlanTable(*plan), WorldMemory(*memory)
@@ -240,3 +270,7 @@ def run_experts(
             due[k] = observe_world(plan_, memory_, options_, program_, c, k, joint)
         if phase in (CONTROL, ACT):
             control_world(plan_, memory_, options_, workspace_, c, k, actions)
+        if phase == PREPARE:
+            prepare_robot(plan_, memory_, options_, workspace_, k, c)
+        if phase == APPLY:
+            apply_solution(plan_, memory_, options_, workspace_, c, k, c, workspace_.target[c], actions)

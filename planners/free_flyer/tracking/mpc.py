@@ -7,116 +7,22 @@ heading held over the horizon the dynamics are linear and the whole problem cond
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from impact_envs.compiled import compiled
 from planners.free_flyer.tracking.box_qp import NEWTON_STEPS, NOT_SOLVED, solve_box_qp
-
-STAGES = 10  # 1 s at 10 Hz: Verhagen & Tumova, App. B
-NO_JUMP = 0
-
-# Columns of TrackingProblem.row: acceleration per input; limits; weights (pp, pv, vv) of each axis at the stages, then
-# at the end; effort; feedback (position, velocity) of each axis.
-GAIN, INPUT_LIMIT, WEIGHT, EFFORT, FEEDBACK, PILOT_SIZE = 0, 3, 6, 24, 27, 33
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Weights of the tracking cost; chosen in closed loop, they replace those of Verhagen & Tumova, App. B.
-
-    Args:
-        position, velocity: on errors of position [1/m^2] and velocity [s^2/m^2].
-        heading, rate: on errors of heading [1/rad^2] and angular velocity [s^2/rad^2].
-        force, torque: on deviations from the feed-forward force [1/N^2] and torque [1/(N m)^2].
-    """
-
-    position: float = 40.0
-    velocity: float = 40.0
-    heading: float = 5.0
-    rate: float = 0.5
-    force: float = 0.05
-    torque: float = 20.0
-
-
-class Actuated(Protocol):
-    """A body with force and torque limits, such as a scenario's robot."""
-
-    @property
-    def mass(self) -> float:
-        """Return the mass [kg]."""
-
-    @property
-    def inertia(self) -> float:
-        """Return the moment of inertia [kg m^2]."""
-
-    @property
-    def force_limit(self) -> float:
-        """Return the greatest force per body axis [N]."""
-
-    @property
-    def torque_limit(self) -> float:
-        """Return the greatest torque [N m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class TrackingProblem:
-    """Hold the MPC compiled for one robot: what stays the same from step to step.
-
-    Args:
-        period: control period [s].
-        gains: acceleration per input, shape (3,) [1/kg, 1/kg, 1/(kg m^2)].
-        limits: greatest input of either sign, shape (3,) [N, N, N m].
-        weights: (pp, pv, vv) of each axis x, y, heading: at the stages, then at the end, shape (2, 3, 3).
-        effort: diagonal of R, shape (3,).
-        feedback: LQR gain (position, velocity) of each axis, shape (3, 2).
-    """
-
-    period: float
-    gains: np.ndarray
-    limits: np.ndarray
-    weights: np.ndarray
-    effort: np.ndarray
-    feedback: np.ndarray
-
-    @property
-    def row(self) -> np.ndarray:
-        """Return everything but the period as one row for compiled code, shape (33,)."""
-        parts = (self.gains, self.limits, self.weights.ravel(), self.effort, self.feedback.ravel())
-        return np.concatenate(parts)
-
-
-def build_tracking_problem(robot: Actuated, period: float, weights: Weights = Weights()) -> TrackingProblem:
-    """Build the tracking MPC of one robot.
-
-    Args:
-        robot: mass [kg], inertia [kg m^2] and limits [N, N m].
-        period: control period [s].
-        weights: of the cost.
-
-    Returns:
-        The problem, with the infinite-horizon cost as terminal weight.
-
-    Source: Verhagen & Tumova, Eq. 31 and App. B; terminal weight: discrete algebraic Riccati equation.
-    """
-    gains = np.array([1.0 / robot.mass, 1.0 / robot.mass, 1.0 / robot.inertia])
-    position = np.array([weights.position, weights.position, weights.heading])
-    velocity = np.array([weights.velocity, weights.velocity, weights.rate])
-    effort = np.array([weights.force, weights.force, weights.torque])
-    table, feedback = np.zeros((2, 3, 3)), np.zeros((3, 2))
-    table[0, :, 0], table[0, :, 2] = position, velocity
-    A = np.array([[1.0, period], [0.0, 1.0]])
-    for axis in range(3):
-        B = gains[axis] * np.array([[period**2 / 2], [period]])
-        R = effort[axis].reshape(1, 1)
-        P = solve_discrete_are(A, B, np.diag([position[axis], velocity[axis]]), R)
-        table[1, axis] = P[0, 0], P[0, 1], P[1, 1]
-        feedback[axis] = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)[0]
-    limits = np.array([robot.force_limit, robot.force_limit, robot.torque_limit])
-    return TrackingProblem(period, gains, limits, table, effort, feedback)
+from planners.free_flyer.tracking.problem import (
+    EFFORT,
+    FEEDBACK,
+    GAIN,
+    INPUT_LIMIT,
+    NO_JUMP,
+    STAGES,
+    WEIGHT,
+    TrackingTask,
+)
 
 
 @compiled
@@ -252,6 +158,8 @@ class Workspace(NamedTuple):
         jump: of that impact: unit normal n from robot to object, c = (1 + e) m_O / (m_R + m_O), v_O . n before it,
             shape (T, 4).
         solution: inputs of all stages, shape (T, 30) [N, N, N m].
+        solved: stages of ``solution`` that were just found; 0 where the solve failed, shape (T,).
+        target: object that the robot is to hit, or END, shape (T,).
         Z, H, L, vectors, free: scratch, shapes (T, 31, 6), (T, 30, 30) twice, (T, 6, 30), (T, 30).
         steps: Newton steps allowed, shape (T,).
     """
@@ -263,6 +171,8 @@ class Workspace(NamedTuple):
     node: np.ndarray
     jump: np.ndarray
     solution: np.ndarray
+    solved: np.ndarray
+    target: np.ndarray
     Z: np.ndarray
     H: np.ndarray
     L: np.ndarray
@@ -282,6 +192,8 @@ def make_workspace(threads: int = 1) -> Workspace:
         node=np.zeros(T, np.int64),
         jump=np.zeros((T, 4)),
         solution=np.zeros((T, n)),
+        solved=np.zeros(T, np.int64),
+        target=np.zeros(T, np.int64),
         Z=np.zeros((T, n + 1, 6)),
         H=np.zeros((T, n, n)),
         L=np.zeros((T, n, n)),
@@ -289,6 +201,12 @@ def make_workspace(threads: int = 1) -> Workspace:
         free=np.zeros((T, n), np.bool_),
         steps=np.full(T, NEWTON_STEPS),
     )
+
+
+def view_task(workspace: Workspace, c: int) -> TrackingTask:
+    """Return row c's tracking problem; its arrays are views."""
+    state, states, inputs, durations = (column[c] for column in workspace[:4])
+    return TrackingTask(state, states, inputs, durations, int(workspace.node[c]), workspace.jump[c])
 
 
 @compiled

@@ -428,8 +428,8 @@ def test_variants_by_name(scenario: FreeFlyerScenario, plan: Plan) -> None:
 def test_each_variant_has_one_part_more_than_the_last() -> None:
     parts = [{name for name, on in options._asdict().items() if on} for options in VARIANTS.values()]
     once, paper, learning, retiming, drift, insertion, reoptimisation = parts
-    assert once == {"once", "mpc"}
-    assert paper == {"mpc"}
+    assert once == {"once", "tracker"}
+    assert paper == {"tracker"}
     assert learning - paper == {"learn"}
     assert retiming - learning == {"retime"}
     assert drift - retiming == {"drift"}
@@ -455,7 +455,7 @@ def test_published_code_replans_each_impact_once(scenario: FreeFlyerScenario, pl
 
 
 def test_lqr_tracks_without_counting_as_a_fallback(scenario: FreeFlyerScenario, plan: Plan) -> None:
-    expert = FreeFlyerExpert(scenario, plan, options=EXPERT._replace(mpc=False))
+    expert = FreeFlyerExpert(scenario, plan, options=EXPERT._replace(tracker="lqr"))
     success, _, fallbacks = play(scenario, expert)
     assert success
     assert fallbacks == {}

@@ -159,11 +159,11 @@ def test_variants_and_options_are_those_of_the_single_expert() -> None:
     joint, _ = vector.reset(seed=SEED)
     batches = [
         FreeFlyerExpertBatch(world, plan, 1, "paper_expert"),
-        FreeFlyerExpertBatch(world, plan, 1, options=EXPERT._replace(mpc=False)),
+        FreeFlyerExpertBatch(world, plan, 1, options=EXPERT._replace(tracker="lqr")),
     ]
     singles = [
         FreeFlyerExpert(world, plan, "paper_expert"),
-        FreeFlyerExpert(world, plan, options=EXPERT._replace(mpc=False)),
+        FreeFlyerExpert(world, plan, options=EXPERT._replace(tracker="lqr")),
     ]
     env = parallel_env(world)
     seen = env.reset(seed=SEED)[0]

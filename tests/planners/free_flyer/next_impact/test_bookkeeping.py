@@ -12,7 +12,7 @@ from impact_envs import load_scenario
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
 from planners.free_flyer.belief.impact_parameters import NOW, compute_gain_spread, compute_pair_gain, find_row
-from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options
+from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options, encode_options
 from planners.free_flyer.belief.plan_table import DEPTH, END, make_plan_table
 from planners.free_flyer.belief.world_memory import (
     AGENT,
@@ -556,7 +556,7 @@ def test_robot_does_not_set_off_to_a_later_impact_before_an_earlier_one() -> Non
     loop = Loop(scenario, make_plan(scenario, (10, "crackle", "pip"), (20, "crackle", "pop")))
     workspace, actions = make_workspace(), np.zeros((3, 2, 3))
     loop.memory.time[K] = 5.0
-    control_world(loop.table, loop.memory, EXPERT, workspace, 0, K, actions)
+    control_world(loop.table, loop.memory, Options(*encode_options(EXPERT)), workspace, 0, K, actions)
     assert list(loop.strike[:, SOLVED]) == [0.0, 1.0]
     assert loop.memory.course[K, :, IMPACT].tolist() == [0.0, 1.0]
     assert np.isfinite(actions[K]).all()

@@ -10,21 +10,10 @@ import pytest
 
 from impact_envs.errors import InputError
 from planners.errors import SolverFailed
-from planners.free_flyer.tracking.casadi_mpc import (
-    build_casadi_tracking,
-    build_published_tracking,
-    has_fatrop,
-    solve_casadi_tracking,
-    solve_published_tracking,
-)
-from planners.free_flyer.tracking.mpc import (
-    NO_JUMP,
-    STAGES,
-    Workspace,
-    build_tracking_problem,
-    make_workspace,
-    solve_tracking,
-)
+from planners.free_flyer.published.mpc import PublishedTracker, build_published_tracking, solve_published_tracking
+from planners.free_flyer.tracking.casadi_mpc import build_casadi_tracking, has_fatrop, solve_casadi_tracking
+from planners.free_flyer.tracking.mpc import Workspace, make_workspace, solve_tracking, view_task
+from planners.free_flyer.tracking.problem import NO_JUMP, STAGES, build_tracking_problem
 
 PERIOD = 0.1
 NORMAL, GAIN, OBJECT_SPEED, SPEED = np.array([0.6, 0.8]), 0.9, -0.05, 0.1
@@ -86,7 +75,7 @@ def test_first_input_is_casadis_to_a_hundredth_of_the_limits(node: int, solver: 
             start_near(rng, workspace)
             assert solve_tracking(workspace, 0, PROBLEM.row)
             first = workspace.solution[0, :3].copy()
-            off = np.abs(first - solve_casadi_tracking(mpc, workspace)[0]) / PROBLEM.limits
+            off = np.abs(first - solve_casadi_tracking(mpc, view_task(workspace, 0))[0]) / PROBLEM.limits
             assert off.max() < 0.01
             assert np.abs(first / PROBLEM.limits).max() > 0.005
 
@@ -95,7 +84,7 @@ def test_saturated_force_is_casadis() -> None:
     mpc, workspace = build_casadi_tracking(PROBLEM), make_reference(NO_JUMP)
     workspace.state[0] = workspace.states[0, 0] + [0.3, -0.2, 0.0, 0.0, 0.0, 0.0]
     assert solve_tracking(workspace, 0, PROBLEM.row)
-    found = solve_casadi_tracking(mpc, workspace)
+    found = solve_casadi_tracking(mpc, view_task(workspace, 0))
     assert np.abs(found).max() <= 1.5 + 1e-6
     assert math.isclose(np.abs(found[0]).max(), 1.5, abs_tol=1e-5)
     np.testing.assert_allclose(found[0, :2], workspace.solution[0, :2], atol=1e-5)
@@ -106,9 +95,9 @@ def test_without_the_jump_in_the_horizon_casadi_brakes() -> None:
     """The map of the impact makes the difference."""
     mpc, workspace = build_casadi_tracking(PROBLEM), make_reference(4)
     workspace.state[0] = workspace.states[0, 0]
-    np.testing.assert_allclose(solve_casadi_tracking(mpc, workspace), 0.0, atol=1e-5)
+    np.testing.assert_allclose(solve_casadi_tracking(mpc, view_task(workspace, 0)), 0.0, atol=1e-5)
     workspace.node[0] = NO_JUMP
-    assert np.abs(solve_casadi_tracking(mpc, workspace)[0, :2]).max() > 0.3
+    assert np.abs(solve_casadi_tracking(mpc, view_task(workspace, 0))[0, :2]).max() > 0.3
 
 
 @pytest.mark.parametrize("node", [NO_JUMP, 4])
@@ -116,7 +105,7 @@ def test_published_form_pushes_towards_the_reference_and_turns_back(node: int) -
     mpc, workspace = build_published_tracking(PROBLEM), make_reference(node)
     slow = 0.02 * workspace.states[0, 0, 3:5] / np.hypot(*workspace.states[0, 0, 3:5])
     workspace.state[0] = workspace.states[0, 0] - [0.0, 0.0, -0.2, *slow, 0.0]
-    force_x, force_y, torque = solve_published_tracking(mpc, workspace)
+    force_x, force_y, torque = solve_published_tracking(mpc, view_task(workspace, 0))
     c, s = math.cos(0.2), math.sin(0.2)
     world = np.array([c * force_x - s * force_y, s * force_x + c * force_y])
     assert world @ slow > 0.0
@@ -128,7 +117,7 @@ def test_published_form_pushes_towards_the_reference_and_turns_back(node: int) -
 def test_published_form_needs_no_force_on_a_straight_line() -> None:
     mpc, workspace = build_published_tracking(PROBLEM), make_reference(4)
     workspace.state[0] = workspace.states[0, 0]
-    np.testing.assert_allclose(solve_published_tracking(mpc, workspace), 0.0, atol=5e-3)
+    np.testing.assert_allclose(solve_published_tracking(mpc, view_task(workspace, 0)), 0.0, atol=5e-3)
 
 
 def test_failures_are_typed() -> None:
@@ -137,4 +126,12 @@ def test_failures_are_typed() -> None:
     mpc, workspace = build_casadi_tracking(PROBLEM, "ipopt"), make_reference(NO_JUMP)
     workspace.state[0, 0] = math.nan
     with pytest.raises(SolverFailed, match="tracking MPC by ipopt: Invalid_Number"):
-        solve_casadi_tracking(mpc, workspace)
+        solve_casadi_tracking(mpc, view_task(workspace, 0))
+
+
+def test_published_form_thrusts_nothing_where_its_solver_fails() -> None:
+    tracker, workspace = PublishedTracker(), make_reference(NO_JUMP)
+    tracker.reset({"craft": PROBLEM})
+    assert np.abs(tracker.track("craft", view_task(workspace, 0))).max() > 0.0
+    workspace.state[0, 0] = math.nan
+    np.testing.assert_array_equal(tracker.track("craft", view_task(workspace, 0)), np.zeros((1, 3)))

@@ -15,17 +15,19 @@ from planners import make_plan
 from planners.free_flyer.belief.world_memory import AGENT, CONTACT_X, CONTACT_Y, MINUS_X, MINUS_Y, PLUS_X, PLUS_Y, TIME
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.tracking.mpc import (
-    INPUT_LIMIT,
-    NO_JUMP,
-    STAGES,
-    TrackingProblem,
     Workspace,
-    build_tracking_problem,
     condense,
     jump,
     make_workspace,
     solve_freely,
     solve_tracking,
+)
+from planners.free_flyer.tracking.problem import (
+    INPUT_LIMIT,
+    NO_JUMP,
+    STAGES,
+    TrackingProblem,
+    build_tracking_problem,
 )
 
 PERIOD = 0.1

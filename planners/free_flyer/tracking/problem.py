@@ -1,0 +1,160 @@
+"""The tracking problem of one robot: what stays the same from step to step, and what a step brings.
+
+State (q, v) = [x, y, heading, vx, vy, omega] in the world frame, input [Fx, Fy, torque] in the body frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+STAGES = 10  # 1 s at 10 Hz: Verhagen & Tumova, App. B
+NO_JUMP = 0
+
+# Columns of TrackingProblem.row: acceleration per input; limits; weights (pp, pv, vv) of each axis at the stages, then
+# at the end; effort; feedback (position, velocity) of each axis.
+GAIN, INPUT_LIMIT, WEIGHT, EFFORT, FEEDBACK = 0, 3, 6, 24, 27
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the tracking cost; chosen in closed loop, they replace those of Verhagen & Tumova, App. B.
+
+    Args:
+        position, velocity: on errors of position [1/m^2] and velocity [s^2/m^2].
+        heading, rate: on errors of heading [1/rad^2] and angular velocity [s^2/rad^2].
+        force, torque: on deviations from the feed-forward force [1/N^2] and torque [1/(N m)^2].
+    """
+
+    position: float = 40.0
+    velocity: float = 40.0
+    heading: float = 5.0
+    rate: float = 0.5
+    force: float = 0.05
+    torque: float = 20.0
+
+
+class Actuated(Protocol):
+    """A body with force and torque limits, such as a scenario's robot."""
+
+    @property
+    def mass(self) -> float:
+        """Return the mass [kg]."""
+
+    @property
+    def inertia(self) -> float:
+        """Return the moment of inertia [kg m^2]."""
+
+    @property
+    def force_limit(self) -> float:
+        """Return the greatest force per body axis [N]."""
+
+    @property
+    def torque_limit(self) -> float:
+        """Return the greatest torque [N m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingProblem:
+    """Hold the MPC compiled for one robot: what stays the same from step to step.
+
+    Args:
+        period: control period [s].
+        gains: acceleration per input, shape (3,) [1/kg, 1/kg, 1/(kg m^2)].
+        limits: greatest input of either sign, shape (3,) [N, N, N m].
+        weights: (pp, pv, vv) of each axis x, y, heading: at the stages, then at the end, shape (2, 3, 3).
+        effort: diagonal of R, shape (3,).
+        feedback: LQR gain (position, velocity) of each axis, shape (3, 2).
+    """
+
+    period: float
+    gains: np.ndarray
+    limits: np.ndarray
+    weights: np.ndarray
+    effort: np.ndarray
+    feedback: np.ndarray
+
+    @property
+    def weight_matrices(self) -> np.ndarray:
+        """Return the weights of the state as matrices: at the stages, then at the end, shape (2, 6, 6)."""
+        blocks = [[np.diag(column) for column in rows.T] for rows in self.weights]
+        return np.array([np.block([[pp, pv], [pv, vv]]) for pp, pv, vv in blocks])
+
+    @property
+    def row(self) -> np.ndarray:
+        """Return everything but the period as one row for compiled code, shape (33,)."""
+        parts = (self.gains, self.limits, self.weights.ravel(), self.effort, self.feedback.ravel())
+        return np.concatenate(parts)
+
+
+def build_tracking_problem(robot: Actuated, period: float, weights: Weights = Weights()) -> TrackingProblem:
+    """Build the tracking MPC of one robot.
+
+    Args:
+        robot: mass [kg], inertia [kg m^2] and limits [N, N m].
+        period: control period [s].
+        weights: of the cost.
+
+    Returns:
+        The problem, with the infinite-horizon cost as terminal weight.
+
+    Source: Verhagen & Tumova, Eq. 31 and App. B; terminal weight: discrete algebraic Riccati equation.
+    """
+    gains = np.array([1.0 / robot.mass, 1.0 / robot.mass, 1.0 / robot.inertia])
+    position = np.array([weights.position, weights.position, weights.heading])
+    velocity = np.array([weights.velocity, weights.velocity, weights.rate])
+    effort = np.array([weights.force, weights.force, weights.torque])
+    table, feedback = np.zeros((2, 3, 3)), np.zeros((3, 2))
+    table[0, :, 0], table[0, :, 2] = position, velocity
+    A = np.array([[1.0, period], [0.0, 1.0]])
+    for axis in range(3):
+        B = gains[axis] * np.array([[period**2 / 2], [period]])
+        R = effort[axis].reshape(1, 1)
+        P = solve_discrete_are(A, B, np.diag([position[axis], velocity[axis]]), R)
+        table[1, axis] = P[0, 0], P[0, 1], P[1, 1]
+        feedback[axis] = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)[0]
+    limits = np.array([robot.force_limit, robot.force_limit, robot.torque_limit])
+    return TrackingProblem(period, gains, limits, table, effort, feedback)
+
+
+class TrackingTask(NamedTuple):
+    """What one robot has to track in one step, over N = 10 stages.
+
+    Attributes:
+        state: measured, shape (6,).
+        states: reference at the nodes 0..N; at the node of a predicted impact the state just before it, shape (N+1, 6).
+        inputs: feed-forward inputs of the stages in the body frame, shape (N, 3) [N, N, N m].
+        durations: of the stages; a border between two is moved onto the impact, shape (N,) [s].
+        node: of the predicted impact, 1..N-1, which comes before the stage that starts there; NO_JUMP without one.
+        jump: (n_x, n_y, c, n . v_O) of that impact: v+ = v- - c (n . v- - n . v_O) n; meaningless without one, shape
+            (4,).
+    """
+
+    state: np.ndarray
+    states: np.ndarray
+    inputs: np.ndarray
+    durations: np.ndarray
+    node: int
+    jump: np.ndarray
+
+    def has_impact_before(self, k: int) -> bool:
+        """Return whether the predicted impact comes just before stage k."""
+        return self.node == k != NO_JUMP
+
+    @property
+    def normal(self) -> np.ndarray:
+        """Return the unit vector n from robot to object, shape (2,)."""
+        return self.jump[:2]
+
+    @property
+    def gain(self) -> float:
+        """Return c = (1 + e) m_O / (m_R + m_O)."""
+        return float(self.jump[2])
+
+    @property
+    def object_speed(self) -> float:
+        """Return the object's velocity along the normal before the impact [m/s]."""
+        return float(self.jump[3])
