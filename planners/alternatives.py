@@ -11,64 +11,64 @@ import numpy as np
 from planners.errors import Infeasible
 from planners.mixed_integer import Affine, Model
 
-NOISE = 1e-9  # of bounds and rows, in their unit
+NOISE = 1e-9  # round-off of bounds and rows [their unit]
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
 class AllOf(Generic[T]):
-    """Hold nodes of which all must hold; nothing holds always.
+    """Hold trees of which all must hold; without any it always holds.
 
     Args:
-        parts: rows (expressions that must not be positive) and further nodes.
-        marks: what it means that they hold, for whoever reads a solution.
+        parts: rows (expressions that must not be positive) and further trees.
+        marks: what their holding means, to be read from a solution.
     """
 
-    parts: tuple[Node[T], ...]
+    parts: tuple[Tree[T], ...]
     marks: tuple[T, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class AnyOf(Generic[T]):
-    """Hold nodes of which at least one must hold; nothing holds never.
+    """Hold trees of which at least one must hold; without any it never holds.
 
     Args:
-        choices: rows and further nodes, the preferred ones first.
+        choices: rows and further trees, the preferred ones first.
     """
 
-    choices: tuple[Node[T], ...]
+    choices: tuple[Tree[T], ...]
 
 
-Node: TypeAlias = Affine | float | AllOf[T] | AnyOf[T]
+Tree: TypeAlias = Affine | float | AllOf[T] | AnyOf[T]
 
 
-def require_tree(model: Model, node: Node[T], when: Affine | None = None) -> None:
+def require_tree(model: Model, tree: Tree[T], when: Affine | None = None) -> None:
     """Add a tree to a model: one binary per alternative, of which the rows are relaxed by interval big-M.
 
-    Alternatives that the variable bounds exclude are left out; nothing is added where the bounds imply one.
+    Alternatives that the variable bounds exclude get no rows; if the bounds imply one, no row is added at all.
 
     Args:
         model: gets rows and binaries.
-        node: the tree.
-        when: binary at 1 of which the tree must hold; None: it must hold in any case.
+        tree: the tree.
+        when: binary; the tree must hold where it is 1; None: it must hold in any case.
 
     Raises:
         Infeasible: the bounds exclude the tree.
     """
-    if isinstance(node, AllOf):
-        for part in node.parts:
+    if isinstance(tree, AllOf):
+        for part in tree.parts:
             require_tree(model, part, when)
-    elif isinstance(node, AnyOf):
-        _require_any(model, [part for choice in node.choices for part in _open(choice)], when)
+    elif isinstance(tree, AnyOf):
+        _require_any(model, [part for choice in tree.choices for part in _open(choice)], when)
     elif when is not None:
-        model.require(node, 1.0 - when)
-    elif _limits(model, node)[0] > NOISE:
+        model.require(tree, 1.0 - when)
+    elif _limits(model, tree)[0] > NOISE:
         raise _contradiction(model)
     else:
-        model.require(node)
+        model.require(tree)
 
 
-def _require_any(model: Model, choices: list[Node[T]], when: Affine | None) -> None:
+def _require_any(model: Model, choices: list[Tree[T]], when: Affine | None) -> None:
     limits = [_limits(model, choice) for choice in choices]
     if any(high <= NOISE for _, high in limits):
         return
@@ -90,61 +90,61 @@ def _contradiction(model: Model) -> Infeasible:
     return Infeasible(model.name, "a requirement contradicts the limits", "widen limits or areas")
 
 
-def _open(node: Node[T]) -> Iterator[Node[T]]:
-    """Return the alternatives of a node: a choice among choices needs no binaries of its own."""
-    if isinstance(node, AnyOf):
-        for choice in node.choices:
+def _open(tree: Tree[T]) -> Iterator[Tree[T]]:
+    """Return the alternatives of a tree, flattened: a choice among choices needs no binaries of its own."""
+    if isinstance(tree, AnyOf):
+        for choice in tree.choices:
             yield from _open(choice)
         return
-    inner = [part for part in node.parts if isinstance(part, AnyOf)] if isinstance(node, AllOf) else []
-    if isinstance(node, AllOf) and len(inner) == 1:
-        rest = tuple(part for part in node.parts if part is not inner[0])
+    inner = [part for part in tree.parts if isinstance(part, AnyOf)] if isinstance(tree, AllOf) else []
+    if isinstance(tree, AllOf) and len(inner) == 1:
+        rest = tuple(part for part in tree.parts if part is not inner[0])
         for choice in _open(inner[0]):
             yield AllOf((*rest, choice))
     else:
-        yield node
+        yield tree
 
 
-def _limits(model: Model, node: Node[T]) -> tuple[float, float]:
-    """Return bounds of how much the worst row of a node, at the best choices, exceeds zero."""
-    if isinstance(node, AllOf):
-        ends = [_limits(model, part) for part in node.parts]
+def _limits(model: Model, tree: Tree[T]) -> tuple[float, float]:
+    """Return bounds of the violation of a tree: its worst row at the best choices."""
+    if isinstance(tree, AllOf):
+        ends = [_limits(model, part) for part in tree.parts]
         return max((low for low, _ in ends), default=-np.inf), max((high for _, high in ends), default=-np.inf)
-    if isinstance(node, AnyOf):
-        ends = [_limits(model, choice) for choice in node.choices]
+    if isinstance(tree, AnyOf):
+        ends = [_limits(model, choice) for choice in tree.choices]
         return min((low for low, _ in ends), default=np.inf), min((high for _, high in ends), default=np.inf)
-    return model.limits(model.loosened(node))
+    return model.limits(model.loosened(tree))
 
 
-def compute_violation(node: Node[T], x: np.ndarray) -> float:
-    """Return by how much a point violates a tree: its worst row at the best choices; negative where it holds.
+def compute_violation(tree: Tree[T], x: np.ndarray) -> float:
+    """Return how much a point violates a tree: its worst row at the best choices; negative where it holds.
 
     Args:
-        node: the tree.
+        tree: the tree.
         x: the point, shape (n,).
     """
-    if isinstance(node, AllOf):
-        return max((compute_violation(part, x) for part in node.parts), default=-np.inf)
-    if isinstance(node, AnyOf):
-        return min((compute_violation(choice, x) for choice in node.choices), default=np.inf)
-    return node.value(x) if isinstance(node, Affine) else float(node)
+    if isinstance(tree, AllOf):
+        return max((compute_violation(part, x) for part in tree.parts), default=-np.inf)
+    if isinstance(tree, AnyOf):
+        return min((compute_violation(choice, x) for choice in tree.choices), default=np.inf)
+    return tree.value(x) if isinstance(tree, Affine) else float(tree)
 
 
-def read_marks(node: Node[T], x: np.ndarray, tolerance: float) -> Iterator[T]:
-    """Return the marks of nodes that hold at a point, of one alternative of each choice.
+def read_marks(tree: Tree[T], x: np.ndarray, tolerance: float) -> Iterator[T]:
+    """Return the marks that hold at a point; of each choice, those of one alternative.
 
     Args:
-        node: a tree that holds.
+        tree: a tree that holds.
         x: the point, shape (n,).
-        tolerance: an alternative violated by no more than this is as good as any.
+        tolerance: alternatives violated by less than this count as equally good [unit of the rows].
 
     Returns:
-        Marks, parents first, of the first alternative that holds, or of the one that is violated least.
+        Marks, parents first; of the first alternative that holds, or else of the least violated one.
     """
-    if isinstance(node, AllOf):
-        yield from node.marks
-        for part in node.parts:
+    if isinstance(tree, AllOf):
+        yield from tree.marks
+        for part in tree.parts:
             yield from read_marks(part, x, tolerance)
-    elif isinstance(node, AnyOf) and node.choices:
-        violations = np.maximum([compute_violation(choice, x) for choice in node.choices], tolerance)
-        yield from read_marks(node.choices[int(np.argmin(violations))], x, tolerance)
+    elif isinstance(tree, AnyOf) and tree.choices:
+        violations = np.maximum([compute_violation(choice, x) for choice in tree.choices], tolerance)
+        yield from read_marks(tree.choices[int(np.argmin(violations))], x, tolerance)

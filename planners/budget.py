@@ -1,4 +1,4 @@
-"""What planning may use, and what its stages took."""
+"""The time that planning may take, and what its stages took."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ from dataclasses import dataclass, field
 
 @dataclass
 class Budget:
-    """Hold what planning may use, and measure what its stages took.
+    """Hold the time that planning may take, and measure what its stages take.
 
     Args:
-        limit: wall time for everything [s].
-        solver: of mixed-integer models.
+        limit: wall time of all stages together [s].
     """
 
     limit: float
-    solver: str = "highs"
     start: float = field(default_factory=time.perf_counter)
     stages: dict[str, float] = field(default_factory=dict)
 

@@ -9,18 +9,19 @@ import numpy as np
 from scipy import sparse
 
 from planners.errors import Infeasible, SolverFailed
-from planners.mixed_integer import Affine, Model, stack
+from planners.mixed_integer import Model, stack
+from planners.path_cost import PieceCost
 
 
-def solve_cones(model: Model, integers: np.ndarray, shares: Sequence[Sequence[Affine]]) -> np.ndarray:
-    """Minimise the model with its integers held fixed, under e >= d^2 / t for each share (e, d, t).
+def solve_cones(model: Model, integers: np.ndarray, costs: Sequence[PieceCost]) -> np.ndarray:
+    """Minimise the model with its integers fixed, under cost >= move^2 / duration for each piece.
 
-    The share is the second-order cone |((e - t) / 2, d)| <= (e + t) / 2.
+    With e the cost, d the move and t the duration this is the second-order cone |((e - t) / 2, d)| <= (e + t) / 2.
 
     Args:
         model: the model; its objective is kept.
-        integers: a point whose integer entries are taken over, shape (n,).
-        shares: expressions (e, d, t).
+        integers: a point whose integer entries are kept, shape (n,).
+        costs: of pieces of paths.
 
     Returns:
         The optimal point, shape (n,).
@@ -35,12 +36,8 @@ def solve_cones(model: Model, integers: np.ndarray, shares: Sequence[Sequence[Af
     equal = len(model.equalities)
     split = matrix.shape[0] - equal
     box = sparse.identity(len(free))
-    cone = (
-        [0.5 * (e + t) for e, _, t in shares],
-        [0.5 * (e - t) for e, _, t in shares],
-        [d for _, d, _ in shares],
-    )
-    stacked = [part[k] for k in range(len(shares)) for part in cone]
+    parts = ((0.5 * (one.cost + one.duration), 0.5 * (one.cost - one.duration), one.move) for one in costs)
+    stacked = [row for cone in parts for row in cone]
     cone_rows, cone_high = stack(stacked, len(base))
     rest = high - matrix @ base
     rows = matrix[:, free]
@@ -49,11 +46,11 @@ def solve_cones(model: Model, integers: np.ndarray, shares: Sequence[Sequence[Af
     upper, lower = np.array(model.upper)[free], np.array(model.lower)[free]
     b = np.concatenate([rest[split:], rest[:split], upper, -lower, cone_high + cone_rows @ base])
     cones = [clarabel.ZeroConeT(equal), clarabel.NonnegativeConeT(split + 2 * len(free))]
-    cones += [clarabel.SecondOrderConeT(3)] * len(shares)
-    cost = np.zeros(len(base))
+    cones += [clarabel.SecondOrderConeT(3)] * len(costs)
+    linear = np.zeros(len(base))
     for i, c in model.objective.coefficients.items():
-        cost[i] += c
-    x = solve_clarabel(model.name, sparse.csc_matrix((len(free), len(free))), cost[free], A, b, cones)
+        linear[i] += c
+    x = solve_clarabel(model.name, sparse.csc_matrix((len(free), len(free))), linear[free], A, b, cones)
     base[free] = x
     return base
 

@@ -1,4 +1,4 @@
-"""Quintic splines as linear maps from node states to Bezier control points of position, velocity, acceleration."""
+"""Quintic splines as linear maps from states at breakpoints to Bezier control points of the motion."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ DEGREE = 5
 
 
 @dataclass(frozen=True)
-class Node:
-    """Hold what is known of a spline's node; None is free.
+class Breakpoint:
+    """Hold what is known of a spline at one of its breakpoints; None is free.
 
     Args:
         position: shape (2,) [m].
-        velocities: just before and just after the node, each shape (2,) [m/s]; where they are known the
+        velocities: just before and just after it, each shape (2,) [m/s]; where they are known the
             acceleration may jump.
     """
 
@@ -52,7 +52,7 @@ class LinearMap:
 
 @dataclass(frozen=True)
 class QuinticSpline:
-    """Hold a twice continuously differentiable spline whose node states are the variables.
+    """Hold a twice continuously differentiable spline; the states at its breakpoints are the variables.
 
     Args:
         times: breakpoints, shape (S+1,) [s].
@@ -93,23 +93,22 @@ class QuinticSpline:
         return (self.times[:-1, None] + share * np.diff(self.times)[:, None]).ravel()
 
 
-def build_quintic_spline(times: np.ndarray, nodes: Mapping[int, Node]) -> QuinticSpline:
-    """Build the maps of a spline with some node states known.
+def build_quintic_spline(times: np.ndarray, known: Mapping[int, Breakpoint]) -> QuinticSpline:
+    """Build the maps of a spline that is partly known at its breakpoints.
 
-    Position, velocity and acceleration of neighbouring segments are the same variables, so continuity
-    needs no rows and known states are met exactly.
+    Neighbouring segments share the variables of position, velocity and acceleration, so continuity needs no rows, and
+    known states are met exactly.
 
     Args:
         times: breakpoints, shape (S+1,) [s].
-        nodes: node index to what is known there.
+        known: index of a breakpoint to what is known there.
 
     Returns:
         The spline.
     """
-    slots, constants, size = _number_states(len(times), nodes)
+    slots, constants, size = _number_states(len(times), known)
     segments = len(times) - 1
-    known = slots < 0
-    rows = np.flatnonzero(~known.ravel())
+    rows = np.flatnonzero(slots.ravel() >= 0)
     data = np.ones(len(rows))
     pick = sparse.csr_matrix((data, (rows, slots.ravel()[rows])), shape=(6 * segments, size))
     steps = np.diff(times)
@@ -123,23 +122,23 @@ def build_quintic_spline(times: np.ndarray, nodes: Mapping[int, Node]) -> Quinti
     return QuinticSpline(times, size, *maps)
 
 
-def _number_states(count: int, nodes: Mapping[int, Node]) -> tuple[np.ndarray, np.ndarray, int]:
+def _number_states(count: int, known: Mapping[int, Breakpoint]) -> tuple[np.ndarray, np.ndarray, int]:
     """Return, per segment and (p, v, a) at its two ends, the variable's index or -1, and the known value."""
     slots = np.full((count - 1, 6), -1)
     constants = np.zeros((count - 1, 6, 2))
     size = 0
     for j in range(count):
-        node = nodes.get(j, Node())
-        before, after = node.velocities or (None, None)
+        point = known.get(j, Breakpoint())
+        before, after = point.velocities or (None, None)
         sides = [(j - 1, 3, before)] * (j > 0) + [(j, 0, after)] * (j < count - 1)
         for kind in range(3):
             index = -1
             for segment, offset, velocity in sides:
-                value = (node.position, velocity, None)[kind]
+                value = (point.position, velocity, None)[kind]
                 if value is not None:
                     constants[segment, offset + kind] = value
                     continue
-                if index < 0 or (kind == 2 and node.velocities is not None):
+                if index < 0 or (kind == 2 and point.velocities is not None):
                     index, size = size, size + 1
                 slots[segment, offset + kind] = index
     return slots, constants, size

@@ -1,4 +1,4 @@
-"""What a plan keeps in hand for its execution."""
+"""Margins of a plan: what it keeps in hand for its execution."""
 
 from __future__ import annotations
 
@@ -17,18 +17,24 @@ class Reserves:
         speed: share of the speed limits that legs between impacts may use.
         thrust: share of force_limit / mass that motions may use.
         turn: time to reach the speed of a leg from rest, or to stop from it, at this thrust [s].
-        slack: times the time that starting and stopping cost a leg.
-        underway: share of that time on the first leg, where bodies move at the start.
+        slack: factor of the time that a leg loses by starting and stopping.
+        underway: share of this time that counts on the first leg, where bodies move at the start.
         first: least time before the first impact [s].
         gap: least time between impacts [s].
         last: least time after the last impact [s].
         clearance: distance kept between bodies beyond touching [m].
         wall: distance kept from walls and solid obstacles beyond touching [m].
-        avoid: distance kept from areas to avoid beyond the robustness, where the optimum allows it [m].
-        interior: robustness given up for less effort [m].
+        avoid: distance kept from areas to avoid in addition to the robustness, where the optimum allows it [m].
+        interior: robustness given up for a smaller path cost [m].
+        run_up: room behind a robot that hits, between its disc and the world's edge [m].
+        braking: share of the planned acceleration at which robots that move at the start are assumed to brake.
+        push: least change of an object's displacement per leg by an impact, along its direction; an impulse
+            near zero has no direction [m].
+        push_speed: the same for plans that bear deviations: least speed of the object along the direction of an
+            impact, before and after it [m/s].
 
-    Source: speed, first, gap, last and avoid are about what served best in closed-loop trials of a prototype with
-    restitution, mass, sensing, drift and actuation perturbed; the others are choices.
+    Source: speed, first, gap, last and avoid are near the best of closed-loop trials of a prototype with restitution,
+    mass, sensing, drift and actuation perturbed; the others are choices.
     """
 
     speed: float = 0.7
@@ -43,9 +49,13 @@ class Reserves:
     wall: float = 0.05
     avoid: float = 0.15
     interior: float = 0.0
+    run_up: float = 0.15
+    braking: float = 0.75
+    push: float = 0.1
+    push_speed: float = 0.02
 
     def halved(self) -> Reserves:
-        """Return half as much in hand, for tasks that leave no room for more."""
+        """Return a copy with half the margins, for tight tasks."""
         return replace(
             self,
             speed=0.5 * (1.0 + self.speed),
@@ -58,7 +68,7 @@ class Reserves:
         )
 
     def times(self, horizon: float) -> tuple[float, float, float]:
-        """Return (first, gap, last) for a horizon [s]."""
+        """Return the times (first, gap, last) for a horizon [s]."""
         last = min(self.last, max(0.4 * self.last, 0.15 * horizon), 0.2 * horizon)
         return min(self.first, 0.27 * horizon), min(self.gap, 0.17 * horizon), last
 
@@ -71,5 +81,5 @@ class Reserves:
         return min(self.speed * robot.speed_limit, self.turn * self.acceleration(robot))
 
     def turning(self, robot: Robot) -> float:
-        """Return the time a robot loses to starting and stopping on a leg [s]."""
+        """Return the time a robot loses on a leg by starting and stopping [s]."""
         return self.slack * self.cruise(robot) / self.acceleration(robot)

@@ -40,7 +40,7 @@ class Tolerances:
     share: float = 1e-6
 
 
-def check_plan(scenario: FreeFlyerScenario, plan: Plan, tolerances: Tolerances = Tolerances()) -> float:
+def validate_plan(scenario: FreeFlyerScenario, plan: Plan, tolerances: Tolerances = Tolerances()) -> float:
     """Simulate a plan and raise unless it keeps what it promises.
 
     Args:

@@ -4,6 +4,7 @@ import pytest
 from planners.cones import solve_cones
 from planners.errors import Infeasible
 from planners.mixed_integer import Affine, Model, evaluate
+from planners.path_cost import PieceCost
 from planners.solvers import solve
 
 
@@ -43,12 +44,13 @@ def test_implied_rows_are_dropped_and_impossible_ones_refused() -> None:
         model.require_any([[2.0 - x], [3.0 - x]])
 
 
-def test_shares_are_quotients() -> None:
-    """Two legs over distances 3 and 1 in 8 s: least effort is the common speed, J = 4^2 / 8."""
+def test_costs_are_quotients() -> None:
+    """Two legs over distances 3 and 1 in 8 s: one speed on both costs least, J = 4^2 / 8."""
     model = Model("legs")
     t = [model.variable(0.1, 8.0), model.variable(0.1, 8.0)]
     e = [model.variable(0.0, 100.0), model.variable(0.0, 100.0)]
     model.require_equal(t[0] + t[1] - 8.0)
     model.objective = e[0] + e[1]
-    x = solve_cones(model, np.zeros(4), [(e[0], Affine({}, 3.0), t[0]), (e[1], Affine({}, 1.0), t[1])])
+    costs = [PieceCost("body", e[k], Affine({}, move), t[k]) for k, move in enumerate((3.0, 1.0))]
+    x = solve_cones(model, np.zeros(4), costs)
     np.testing.assert_allclose(x, [6.0, 2.0, 1.5, 0.5], atol=1e-4)

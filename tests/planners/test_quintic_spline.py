@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from planners.bezier import Curve
-from planners.quintic_spline import Node, QuinticSpline, build_quintic_spline
+from planners.quintic_spline import Breakpoint, QuinticSpline, build_quintic_spline
 
 TIMES = np.array([0.0, 1.0, 3.0, 3.5])
 REST = (np.zeros(2), np.zeros(2))
-JUMP = Node(np.array([1.0, 2.0]), (np.array([0.3, 0.1]), np.array([-0.2, 0.4])))
+JUMP = Breakpoint(np.array([1.0, 2.0]), (np.array([0.3, 0.1]), np.array([-0.2, 0.4])))
 
 
 @pytest.fixture
 def spline() -> QuinticSpline:
-    return build_quintic_spline(TIMES, {0: Node(np.zeros(2), REST), 2: JUMP, 3: Node(None, REST)})
+    return build_quintic_spline(TIMES, {0: Breakpoint(np.zeros(2), REST), 2: JUMP, 3: Breakpoint(None, REST)})
 
 
 def _curve(spline: QuinticSpline, x: np.ndarray) -> Curve:

@@ -1,4 +1,4 @@
-"""Rows of the event grid that keep bodies apart, added where a solution brings them too near."""
+"""Rows of the event grid that keep bodies apart, added where a solution brings them too close."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.direction import AXES
 from planners.mixed_integer import Affine, evaluate
 
-COARSE = 1e-3  # diagonal contacts count as clear of both their axes in spite of rounding [m]
-TOLERANCE = 1e-5  # [m]
+COARSE = 1e-3  # so that rounded diagonal contacts still count as clear of both axes [m]
+TOLERANCE = 1e-5  # by which separations may be too short [m]
 Place = tuple[str, str, int]  # two bodies, and the piece they are on
 
 
 def solve_apart(
     grid: EventGrid, scenario: FreeFlyerScenario, reserves: Reserves, solve: Callable[[], np.ndarray]
 ) -> np.ndarray:
-    """Solve a grid again and again, with rows for the bodies that came too near, until none do.
+    """Solve a grid repeatedly, each time with more rows for bodies that came too close, until all are apart.
 
-    Rows are only ever added, so bounds and infeasibility proven on the way hold for the whole problem. A few bodies
-    are always near each other and get all rows at once.
+    Rows are never removed, so bounds and infeasibility that are proven on the way hold for the whole problem. With one
+    object all bodies are near each other, and they get all rows at once.
 
     Args:
         grid: gets the rows.
@@ -43,7 +43,7 @@ def solve_apart(
         add_clearance_rows(grid, scenario, reserves, [(*pair, piece) for pair in pairs for piece in range(grid.count)])
     while True:
         x = solve()
-        # Rows that are there already may be violated by round-off.
+        # Existing rows may be violated by round-off.
         conflicts = [place for place in find_conflicts(grid, scenario, reserves, x) if place not in grid.apart]
         if not conflicts:
             return x
@@ -55,18 +55,18 @@ def add_clearance_rows(
 ) -> None:
     """Keep bodies apart along one axis during each of the pieces.
 
-    Two bodies on one piece move linearly against each other, so their separation along an axis at both ends is
-    their separation in between. A robot that hits stands at contact distance at that end, where its side of the
-    impact is the only one possible: it neither overtakes the object nor changes sides between two own impacts.
+    On a piece two bodies move linearly relative to each other, so what separates them along an axis at both ends
+    separates them in between. A robot that hits stands at contact distance at that end, where only the side of its
+    impact is possible: it neither overtakes the object nor changes sides between two own impacts.
 
     Args:
         grid: gets the rows.
         scenario: radii.
         reserves: clearances.
-        places: where.
+        places: pairs of bodies, and the pieces.
 
     Raises:
-        Infeasible: the variable bounds exclude it.
+        Infeasible: the variable bounds exclude every axis.
     """
     for first, second, piece in places:
         grid.apart.add((first, second, piece))
@@ -79,7 +79,7 @@ def add_clearance_rows(
 
 
 def find_conflicts(grid: EventGrid, scenario: FreeFlyerScenario, reserves: Reserves, x: np.ndarray) -> list[Place]:
-    """Return where a point lacks the separation that `add_clearance_rows` asks for.
+    """Return the places at which a point has less separation than `add_clearance_rows` asks for.
 
     Args:
         grid: meaning of the point.
@@ -122,20 +122,20 @@ def _wanted(
     apart: Affine | float,
     reserves: Reserves,
 ) -> Affine | float:
-    """Return the separation wanted along one axis: contact at own impacts, what is given at fixed ends."""
+    """Return the separation wanted along one axis: contact at own impacts, no more than given at fixed ends."""
     first, second = (scenario.body(name) for name in pair)
     touching = first.radius + second.radius
     # A diagonal contact counts as clear of both its axes.
     nearest, far = touching * np.sqrt(0.5) - COARSE, touching + reserves.clearance
     if not isinstance(apart, Affine):
-        # Elsewhere, bodies clear of each other along another axis might meet while they come clear along this one.
+        # Otherwise bodies that are clear along another axis might meet before they are clear along this one.
         widest = float(np.abs(np.array(grid.knots[pair[0]][knot] - grid.knots[pair[1]][knot], dtype=float)).max())
-        # Where robots come to a halt they may be nearer to others' starts than bodies ever are.
+        # The place where a robot comes to a halt may be nearer to the start of another body than bodies ever are.
         return min(max(float(apart), touching if widest >= touching else min(nearest, widest)), far)
     if knot == grid.count:
         far = touching + reserves.wall
     if isinstance(first, Object):
-        # Objects may start nearer to each other than the reserve, and stay there.
+        # Objects may start, and stay, closer to each other than the reserve.
         start = float(np.abs(np.subtract(first.start, second.start)).max())
         return min(far, max(start, nearest))
     event, rest = divmod(knot, grid.pieces)

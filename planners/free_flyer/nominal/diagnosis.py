@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
-from impact_envs.free_flyer.schema import FreeFlyerScenario
+import numpy as np
+
 from planners.errors import PlanningError
 from planners.free_flyer.nominal.clearance_rows import solve_apart
-from planners.free_flyer.nominal.event_grid import build_event_grid
-from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.specification.formula_rows import add_demands
-from planners.free_flyer.specification.requirement import Demands
-from planners.mixed_integer import Affine
+from planners.free_flyer.nominal.task import NominalTask
+from planners.free_flyer.specification.grid import GridSize
+from planners.mixed_integer import Affine, Model
 from planners.solvers import solve
 
-GAP = 0.05  # to which the smallest relaxation is found
-NEGLIGIBLE = 1e-4  # [m]
+GAP = 0.05  # to which the smallest relaxation is found, relative
+NEGLIGIBLE = 1e-4  # relaxations that are not worth a word [m]
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class Relaxation:
     """Hold what to loosen.
 
     Args:
-        part: conjunct of the formula, or speed of a body.
-        amount: by how much [m]; of a speed: further than it goes on one leg.
+        part: conjunct of the formula, or "speed of" a body.
+        amount: by how much [m]; of a speed: additional way on one leg [m].
     """
 
     part: str
@@ -36,42 +36,31 @@ class Relaxation:
         return f"'{self.part}' loosened by {self.amount:.2g} m"
 
 
-def find_relaxation(
-    scenario: FreeFlyerScenario,
-    demands: Demands,
-    max_impacts: int,
-    rho: float,
-    reserves: Reserves,
-    time_limit: float,
-    solver: str = "highs",
-) -> tuple[Relaxation, ...]:
+def find_relaxation(task: NominalTask, max_impacts: int, rho: float, time_limit: float) -> tuple[Relaxation, ...]:
     """Return the parts of a scenario that together need the least loosening for a plan to exist.
 
-    Every conjunct and the speed of every body gets a slack variable; the sum of all is least, over the numbers of
-    impacts that the time limit admits. Times and distances between bodies stay as they are.
+    Every conjunct and the speed of every body gets a slack variable; the sum of all slacks is least, over the numbers
+    of impacts that the time limit admits. Times and distances between bodies stay as they are.
 
     Args:
-        scenario: without a plan.
-        demands: its demands.
+        task: without a plan.
         max_impacts: greatest number of impacts tried.
         rho: robustness that is wanted [m].
-        reserves: what the plan keeps in hand.
         time_limit: wall time [s].
-        solver: of mixed-integer models.
 
     Returns:
-        What to loosen, most first; nothing if no relaxation was found, or none is needed.
+        What to loosen, most first; empty if no relaxation was found, or none is needed.
     """
     best: dict[str, float] = {}
     least = float("inf")
     for impacts in range(max_impacts + 1):
         try:
-            grid = build_event_grid(scenario, impacts, (rho, rho), reserves, elastic=True)
-            add_demands(grid, demands, scenario.control_period, passing=True)
+            grid, _ = task.build(GridSize(impacts, passing=True), (rho, rho), elastic=True)
             model = grid.model
             model.objective = sum(model.slacks.values(), Affine({}))
             limit = time_limit / (max_impacts + 1)
-            x = solve_apart(grid, scenario, reserves, lambda: solve(model, limit, GAP, solver).x)  # noqa: B023
+            point = partial(_solve_point, model, limit, task.solver)
+            x = solve_apart(grid, task.scenario, task.reserves, point)
         except PlanningError:
             continue
         total = model.objective.value(x)
@@ -80,3 +69,7 @@ def find_relaxation(
             best = {part: slack.value(x) for part, slack in model.slacks.items()}
     found = [Relaxation(part, amount) for part, amount in best.items() if amount > NEGLIGIBLE]
     return tuple(sorted(found, key=lambda relaxation: -relaxation.amount))
+
+
+def _solve_point(model: Model, time_limit: float, solver: str) -> np.ndarray:
+    return solve(model, time_limit, GAP, solver).x

@@ -1,21 +1,20 @@
 """The event grid: K ordered impacts as a mixed-integer linear model without curves and without velocities.
 
-Every motion is a polyline whose knots are the impacts' times, common to all bodies. Robots are fully actuated,
-so their velocity before an impact is free and follows from Eq. (5) once the object's polyline is known: the
-impact law imposes nothing but a speed cap on the object's legs. With several objects, that an object keeps its
-velocity while another one is hit is bilinear and left out: the effort, which grows with every change of velocity,
-asks for it, and stage B makes it exact.
+Every motion is a polyline with its knots at the times of the impacts, which are common to all bodies. Robots are fully
+actuated, so their velocity before an impact is free and follows from Eq. (5) once the object's polyline is known: the
+impact law only caps the speed on the object's legs. With several objects, an object keeps its velocity while another
+one is hit; this is bilinear and left out here. The path cost, which grows with every change of velocity, nearly brings
+it about, and stage B makes it exact.
 
-What moves at the start: an object is on its ray p + v t up to its first impact; a robot's polyline begins where it
-would come to a halt.
+Bodies that move at the start: an object is on its ray p + v t up to its first impact; a robot's polyline begins where
+it would come to a halt.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -24,16 +23,15 @@ from planners.errors import Infeasible
 from planners.free_flyer.nominal.event_sequence import Hitter, Word, compute_speed_caps
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.direction import AXES, DIRECTIONS
+from planners.free_flyer.specification.grid import refine
 from planners.mixed_integer import Affine, Model
+from planners.path_cost import Displacement
 
-# How far against a direction, or one within the 22.5 degrees it stands for, each of the four axes points at most.
+# The greatest component of each of the four axes against a direction, or against one within 22.5 degrees of it.
 BACKWARD = np.cos(np.maximum(0.0, np.arccos(np.clip(-DIRECTIONS @ AXES.T, -1.0, 1.0)) - np.deg2rad(22.5)))
-# Half-angles of the cone round its direction that an impulse may fill: a throw from rest or a catch always
-# has a direction within 22.5 degrees; a turn needs room for the legs before and after.
+# Half-angles of the cone round its direction in which an impulse lies, as tangents. One of the eight directions is
+# always within 22.5 degrees of a throw from rest or a catch; a turn needs room for the legs before and after it.
 CONE_AT_REST, CONE_TURNING = np.tan(np.deg2rad([30.0, 60.0]))
-RUN_UP = 0.15  # room behind a robot that hits [m]
-BRAKING = 0.75  # share of the planned acceleration with which robots' starts are taken to brake
-LEAST_PUSH = 0.1  # of the object's displacements after and before an impact along its direction [m]
 Point = np.ndarray  # shape (2,), of numbers or expressions [m]
 
 
@@ -47,15 +45,15 @@ class EventGrid:
         pieces: number of equally long pieces per leg; robots may turn between them.
         times: t_0 = 0, impact times, t_{K+1} = T, and the ends of pieces between them [s].
         knots: positions of every body at these times [m].
-        hits: per impact, robot and object to the binary that the one hits the other, or 0 or 1 where it is given.
+        hits: per impact, (robot, object) to the binary "the robot hits the object", or to 0 or 1 where that is given.
         sides: per impact, one binary per direction of `DIRECTIONS`.
         objects: names of the objects.
         caps: greatest speed per axis of every object on every piece [m/s].
         speeds: greatest speed per axis of every robot [m/s].
-        turns: time every robot loses to starting and stopping, per piece [s].
+        turns: time every robot loses by starting and stopping, per piece [s].
         moving: names of the objects that move at the start.
-        first_turn: share of turns that counts on the first leg.
-        apart: pairs of bodies and pieces that have rows for their distance.
+        first_turn: share of this time that counts on the first leg.
+        apart: pairs of bodies with the pieces on which rows keep them apart.
     """
 
     model: Model
@@ -90,15 +88,17 @@ class EventGrid:
         """Return the greatest speed per axis of a body on a piece [m/s]."""
         return self.caps[body][piece] if body in self.caps else self.speeds[body]
 
-    def hit_at(self, knot: int, body: str) -> Affine | float:
-        """Return whether a body takes part in the impact at a knot; nobody does between events."""
-        event, rest = divmod(knot, self.pieces)
-        if rest or not 1 <= event <= len(self.hits):
-            return 0.0
-        return self.involved(event, body)
+    def displacements(self) -> Iterator[Displacement]:
+        """Yield the pieces of path of all bodies; an object's pieces share one velocity, so its legs count whole."""
+        for name, knots in self.knots.items():
+            stride = self.pieces if name in self.objects else 1
+            for start in range(0, self.count, stride):
+                end = start + stride
+                move, duration = knots[end] - knots[start], self.times[end] - self.times[start]
+                yield Displacement(name, move, duration, self.fastest(name, start))
 
     def involved(self, event: int, body: str) -> Affine | float:
-        """Return whether a robot or object takes part in an event; the only object always does."""
+        """Return 1 where a robot or object takes part in an event, else 0; the only object always does."""
         if self.objects == (body,):
             return 1.0
         return sum((hit for pair, hit in self.hits[event - 1].items() if body in pair), 0.0)
@@ -125,11 +125,11 @@ def build_event_grid(
         rho: least and greatest robustness allowed [m].
         reserves: what the plan keeps in hand.
         pieces: number of pieces per leg.
-        word: who hits what at each impact; open without.
-        elastic: whether speeds, and what is added in parts, may be exceeded; see `Model`.
+        word: who hits what at each impact; None: anybody anything.
+        elastic: whether speeds, and rows that are added in parts, may be violated; see `Model`.
 
     Returns:
-        The grid; `add_requirements` adds the formula, the stages their objectives, `solve_apart` distances.
+        The grid; `add_demands` adds the formula, the stages their objectives, `solve_apart` the distances.
 
     Raises:
         Infeasible: the variable bounds alone exclude every plan.
@@ -159,9 +159,9 @@ def build_event_grid(
         first_turn=reserves.underway if scenario.starts_moving else 1.0,
     )
     for event in range(1, impacts + 1):
-        _add_impact_rows(grid, scenario, event)
+        _add_impact_rows(grid, scenario, event, reserves.run_up)
         for name in objects:
-            _add_cone_rows(grid, event, name)
+            _add_cone_rows(grid, event, name, reserves.push)
     _add_gap_rows(grid, scenario, reserves)
     _require_hits(grid, scenario)
     if len(objects) > 1:
@@ -178,7 +178,7 @@ def _add_times(
         first = min(first, gap)
     latest = max(scenario.horizon - last, first)
     events = [model.variable(first, latest, rigid=True) for _ in range(impacts)]
-    return _refine([0.0, *events, scenario.horizon], pieces)
+    return refine([0.0, *events, scenario.horizon], pieces)
 
 
 def _add_hits(model: Model, scenario: FreeFlyerScenario, given: Hitter | None) -> dict[Hitter, Affine | float]:
@@ -206,7 +206,7 @@ def _add_knots(
     # A body may start nearer to the world's edge than the reserve.
     lower, upper = np.minimum(lower, start), np.maximum(upper, start)
     struck = [True] * impacts if word is None else [hit[1] == name for hit in word]
-    # One that moves slowly may be left alone, and then flies on.
+    # An object that moves slowly may be left alone; it then flies on.
     slow = word is None and len(scenario.objects) > 1 and any(body.start_velocity) and not body.must_stop
     knots = [start]
     for k in range(impacts + 1):
@@ -219,13 +219,13 @@ def _add_knots(
             knots.append(model.vector(lower, upper))
         else:
             knots.append(knots[-1])
-    return _refine(knots, pieces)
+    return refine(knots, pieces)
 
 
 def find_halt(robot: Robot, reserves: Reserves) -> Point:
     """Return where a robot that brakes from the start comes to a halt, p + v |v| / (2 a) per axis [m]."""
     start, velocity = np.array(robot.start), np.array(robot.start_velocity)
-    return start + velocity * np.abs(velocity) / (2.0 * BRAKING * reserves.acceleration(robot))
+    return start + velocity * np.abs(velocity) / (2.0 * reserves.braking * reserves.acceleration(robot))
 
 
 def _find_free(scenario: FreeFlyerScenario, name: str, time: Affine | float) -> Point:
@@ -236,17 +236,8 @@ def _find_free(scenario: FreeFlyerScenario, name: str, time: Affine | float) -> 
     return np.array([time * v + p for p, v in zip(body.start, body.start_velocity, strict=True)])
 
 
-def _refine(values: Sequence[Any], pieces: int) -> list[Any]:
-    """Return the values with linear interpolations between them."""
-    fine = [values[0]]
-    for a, b in itertools.pairwise(values):
-        fine += [a + (b - a) * (i / pieces) for i in range(1, pieces)]
-        fine.append(b)
-    return fine
-
-
-def _add_impact_rows(grid: EventGrid, scenario: FreeFlyerScenario, event: int) -> None:
-    """Say who hits what, from which side, and where it stands: inside the world at every true direction of a side."""
+def _add_impact_rows(grid: EventGrid, scenario: FreeFlyerScenario, event: int, run_up: float) -> None:
+    """Say who hits what and from which side; for every direction of that side the robot is then inside the world."""
     model, hits, sides = grid.model, grid.hits[event - 1], grid.sides[event - 1]
     edges = [scenario.world.upper[0], -scenario.world.lower[0], scenario.world.upper[1], -scenario.world.lower[1]]
     someone = sum(hits.values(), 0.0)
@@ -262,36 +253,36 @@ def _add_impact_rows(grid: EventGrid, scenario: FreeFlyerScenario, event: int) -
             model.require(-entry, unless=1.0 - hit)
         farthest = AXES @ grid.path(name)[event] + np.array(sides, dtype=object) @ BACKWARD * reach
         for place, edge in zip(farthest, edges, strict=True):
-            model.require(place + scenario.robots[robot].radius + RUN_UP - edge, unless=1.0 - hit)
+            model.require(place + scenario.robots[robot].radius + run_up - edge, unless=1.0 - hit)
 
 
-def _add_cone_rows(grid: EventGrid, event: int, name: str) -> None:
-    """Keep the impulse on an object near its direction, and not nil.
+def _add_cone_rows(grid: EventGrid, event: int, name: str, push: float) -> None:
+    """Constrain the impulse on an object to a cone around its direction, and away from zero.
 
-    The impulse is along D_k / T_k - D_{k-1} / T_{k-1}. Quotients are beyond linear rows, but a cone that holds
-    D_k and -D_{k-1} holds their sum with any positive weights. Where one of them is nil, a narrower cone does.
+    The impulse is along D_k / T_k - D_{k-1} / T_{k-1}. Quotients are not linear, but a cone that contains D_k and
+    -D_{k-1} contains their sum with any positive weights. If one of them is zero, a narrower cone is enough.
     """
     path, count = grid.path(name), len(grid.hits)
     missed = 1.0 - grid.involved(event, name)
-    # Whether its velocity before the event may be other than nil.
+    # 0 where the object rests before the event, whoever hits it there.
     before = 1.0 if name in grid.moving else grid.strikes(range(1, event), name)
     pushes = [
         (path[event + 1] - path[event], before),
         (path[event - 1] - path[event], grid.strikes(range(event + 1, count + 1), name)),
     ]
-    moving = [push for push in pushes if any(grid.model.limits(entry) != (0.0, 0.0) for entry in push[0])]
+    moving = [one for one in pushes if any(grid.model.limits(entry) != (0.0, 0.0) for entry in one[0])]
     for side, direction in zip(grid.sides[event - 1], DIRECTIONS, strict=True):
         across, off = np.array([-direction[1], direction[0]]), 1.0 - side + missed
-        grid.model.require(LEAST_PUSH - direction @ (pushes[0][0] + pushes[1][0]), unless=off)
-        for (push, others), sign in itertools.product(moving, (1.0, -1.0)):
+        grid.model.require(push - direction @ (pushes[0][0] + pushes[1][0]), unless=off)
+        for (step, others), sign in itertools.product(moving, (1.0, -1.0)):
             widest = CONE_TURNING if len(moving) > 1 else CONE_AT_REST
-            grid.model.require((sign * across - widest * direction) @ push, unless=off)
+            grid.model.require((sign * across - widest * direction) @ step, unless=off)
             if len(moving) > 1 and isinstance(others, Affine):
-                grid.model.require((sign * across - CONE_AT_REST * direction) @ push, unless=off + others)
+                grid.model.require((sign * across - CONE_AT_REST * direction) @ step, unless=off + others)
 
 
 def _add_gap_rows(grid: EventGrid, scenario: FreeFlyerScenario, reserves: Reserves) -> None:
-    """Order the events, and leave a robot and an object time between two impacts of their own."""
+    """Order the events, and leave every robot and object time between two impacts of its own."""
     gap, events = reserves.times(scenario.horizon)[1], grid.times[:: grid.pieces]
     for first, second in itertools.combinations(range(1, len(grid.hits) + 1), 2):
         wait = events[second] - events[first]
@@ -307,7 +298,7 @@ def _add_gap_rows(grid: EventGrid, scenario: FreeFlyerScenario, reserves: Reserv
 
 
 def _require_hits(grid: EventGrid, scenario: FreeFlyerScenario) -> None:
-    """Have every object hit that has to come to rest."""
+    """Require at least one hit of every object that has to come to rest."""
     for name, body in scenario.objects.items():
         if not body.must_stop:
             continue
@@ -318,9 +309,9 @@ def _require_hits(grid: EventGrid, scenario: FreeFlyerScenario) -> None:
 
 
 def _add_rest_rows(grid: EventGrid, scenario: FreeFlyerScenario) -> None:
-    """Keep objects on their free motion before their first impact, and at rest after their last one if they have to.
+    """Keep objects on their free motion before their first impact, and at rest after the last one where they must rest.
 
-    One that is never hit is on its free motion, which is at rest or, where that is allowed, slow.
+    An object that is never hit keeps its free motion: it rests or, where that is allowed, moves slowly.
     """
     count, events = len(grid.hits), grid.times[:: grid.pieces]
     for name, body in scenario.objects.items():
@@ -341,7 +332,7 @@ def _add_rest_rows(grid: EventGrid, scenario: FreeFlyerScenario) -> None:
 
 
 def _add_speed_rows(grid: EventGrid) -> None:
-    """Bound every piece by a cruise at the greatest speed, less the time that starting and stopping costs.
+    """Bound every piece by the way at the greatest speed, in its duration less the time for starting and stopping.
 
     |D| <= v (T - v / a) is what a leg from rest to rest needs at acceleration a and speed v at most.
     """

@@ -1,4 +1,4 @@
-"""Plan the rest of a task from the present state: the scenario as seen from now, and its event MILP."""
+"""Plan the rest of a task from the present state: the scenario as seen from now, and its plan."""
 
 from __future__ import annotations
 
@@ -13,71 +13,62 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
 from impact_envs.stl import Always, And, Formula, In, Trace, robustness_signal
 from impact_envs.stl.progression import progress
 from planners.free_flyer.nominal.event_grid import find_halt
-from planners.free_flyer.nominal.planner import Ambition, make_free_flyer_plan
+from planners.free_flyer.nominal.planner import make_free_flyer_plan
+from planners.free_flyer.nominal.task import CostOptions, PlanOptions, Wish, WordSearchOptions
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.negation_normal_form import is_state
 from planners.free_flyer.specification.requirement import read_demands
 from planners.plan import Plan
+from planners.spline_rows import SmoothingOptions
 
+# Good enough, within the second or two after which a new plan is of use.
 RESERVES = replace(Reserves().halved(), thrust=0.7, interior=0.01)
-AMBITION = Ambition(enough=0.2, robustness_gap=0.05, effort_gap=0.1, rounds=1, joint=0.85, thrust=0.9, thorough=False)
-STILL = 5e-3  # below this an object counts as at rest [m/s]
-FORGIVEN = 0.02  # by which an estimate may be outside of what holds always [m]
-INSIDE = 5e-3  # how far it is then put inside [m]
-GRAZE = 0.05  # closing speed of bodies in contact that an estimate may invent [m/s]
-SWEEPS = 4  # over all bodies and areas, until nothing overlaps
+OPTIONS = PlanOptions(
+    enough=0.2,
+    robustness_gap=0.05,
+    joint=0.85,
+    thrust=0.9,
+    thorough=False,
+    cost=CostOptions(gap=0.1, rounds=1, weights=(3.0,), wishes=(Wish(True, True), Wish(False, False)), together=True),
+    search=WordSearchOptions(evaluations=8, improve=False),
+    smoothing=SmoothingOptions(rounds=3),
+)
 Past = tuple[np.ndarray, Mapping[str, np.ndarray]]  # times, shape (n,) [s]; body to its positions, each (n, 2) [m]
 
 
 @dataclass(frozen=True)
+class Repair:
+    """Choose how far an estimated state may be changed, so that it is a start the planner accepts.
+
+    Args:
+        still: speed below which an object counts as at rest, for no estimate is exactly zero [m/s].
+        forgiven: distance by which an estimate may be outside of an area that always holds a body [m].
+        inside: distance to which such a body is put inside the area [m].
+        graze: closing speed of bodies in contact that may be an error of the estimate [m/s].
+        sweeps: number of passes over all bodies and areas.
+    """
+
+    still: float = 5e-3
+    forgiven: float = 0.02
+    inside: float = 5e-3
+    graze: float = 0.05
+    sweeps: int = 4
+
+
+REPAIR = Repair()
+
+
+@dataclass(frozen=True)
 class Rest:
-    """Hold what of a formula is left to be done.
+    """Hold what is left of a formula.
 
     Args:
         parts: conjuncts that are left, in time since now.
-        violated: conjuncts that the past has violated; what always holds stays among the parts if it holds now.
+        violated: conjuncts that the past has violated; an "always" that holds now stays among the parts all the same.
     """
 
     parts: tuple[Formula, ...]
     violated: tuple[str, ...]
-
-
-def plan_remaining(
-    scenario: FreeFlyerScenario,
-    now: float,
-    positions: Mapping[str, np.ndarray],
-    velocities: Mapping[str, np.ndarray],
-    past: Past,
-    time_limit: float = 2.0,
-    impacts: int | None = None,
-    reserves: Reserves = RESERVES,
-    solver: str = "highs",
-) -> Plan:
-    """Plan the rest of a task, who hits what included, from the present state.
-
-    Unless the time limit is hit, the plan does not depend on how long anything takes.
-
-    Args:
-        scenario: the whole task; only believed physics are read.
-        now: on a control step [s].
-        positions: of every body, each shape (2,) [m].
-        velocities: of every body, each shape (2,) [m/s].
-        past: where the bodies have been.
-        time_limit: wall time [s].
-        impacts: that remain in the plan so far: tried first, then one more, then fewer; from none up without.
-        reserves: what the plan keeps in hand.
-        solver: as for `make_free_flyer_plan`.
-
-    Returns:
-        A validated plan of `make_remaining_scenario`, in time since now.
-
-    Raises:
-        InputError: nothing remains, or the formula's rest cannot be said.
-        Infeasible: no plan.
-        SolverFailed: out of time, or the plan failed the check.
-    """
-    rest = make_remaining_scenario(scenario, now, positions, velocities, past)
-    return plan_rest(rest, impacts, time_limit, reserves, solver)
 
 
 def plan_rest(
@@ -87,9 +78,24 @@ def plan_rest(
     reserves: Reserves = RESERVES,
     solver: str = "highs",
 ) -> Plan:
-    """Plan what `make_remaining_scenario` made; as `plan_remaining`."""
+    """Plan the rest of a task, who hits what included; how long anything takes matters only at the time limit.
+
+    Args:
+        rest: from `make_remaining_scenario`.
+        impacts: number of impacts to try first, then one more, then fewer; default: count up from zero.
+        time_limit: wall time [s].
+        reserves: what the plan keeps in hand.
+        solver: of mixed-integer models.
+
+    Returns:
+        A validated plan, in time since now.
+
+    Raises:
+        Infeasible: no plan.
+        SolverFailed: out of time, or the plan failed the check.
+    """
     kept = replace(reserves, wall=_find_wall(rest, reserves))
-    return make_free_flyer_plan(rest, None, time_limit, solver, kept, replace(AMBITION, expected=impacts))
+    return make_free_flyer_plan(rest, None, time_limit, solver, kept, replace(OPTIONS, expected=impacts))
 
 
 def make_remaining_scenario(
@@ -101,8 +107,8 @@ def make_remaining_scenario(
 ) -> FreeFlyerScenario:
     """Make the scenario of what is left of a task, in time that starts now.
 
-    The formula is progressed by the past. States are taken as they are, but that bodies do not overlap, are within
-    the world, and within areas by whose edge they are missed by no more than an estimate may be wrong.
+    The formula is progressed by the past. States are changed only where bodies overlap, are outside the world, or miss
+    an area by less than an estimate may be wrong.
 
     Args:
         scenario: the whole task.
@@ -120,9 +126,9 @@ def make_remaining_scenario(
     parts = progress_formula(scenario, now, past).parts
     places = {name: np.array(positions[name], dtype=float) for name in scenario.bodies}
     speeds = {name: _read_velocity(scenario, name, velocities[name]) for name in scenario.bodies}
-    for _ in range(SWEEPS):
-        _settle(scenario, parts, places)
-    _brake(scenario, places, speeds)
+    for _ in range(REPAIR.sweeps):
+        _project_places(scenario, parts, places)
+    _slow_robots(scenario, places, speeds)
     values: dict[str, object] = {
         "horizon": round(scenario.horizon - now, 9),
         "formula": " & ".join(f"({part})" for part in parts) or _write_true(scenario),
@@ -135,7 +141,7 @@ def make_remaining_scenario(
 
 
 def progress_formula(scenario: FreeFlyerScenario, now: float, past: Past) -> Rest:
-    """Return what of a scenario's formula is left to be done, conjunct by conjunct.
+    """Return what is left of a scenario's formula, conjunct by conjunct.
 
     Args:
         scenario: the whole task.
@@ -159,7 +165,7 @@ def progress_formula(scenario: FreeFlyerScenario, now: float, past: Past) -> Res
     trace = Trace(signals, period, scenario.areas, scenario.bodies)
     left: list[Formula] = []
     violated: list[str] = []
-    for part in _split(scenario.specification.expand(scenario.bodies)):
+    for part in _list_conjuncts(scenario.specification.expand(scenario.bodies)):
         if isinstance(part, Always) and is_state(part.child):
             found, missed = _progress_always(part, trace, now)
         else:
@@ -172,27 +178,27 @@ def progress_formula(scenario: FreeFlyerScenario, now: float, past: Past) -> Res
     return Rest(tuple(left), tuple(violated))
 
 
-def _split(formula: Formula) -> Iterator[Formula]:
-    """Return the conjuncts of a formula, also of what always holds."""
+def _list_conjuncts(formula: Formula) -> Iterator[Formula]:
+    """Yield the conjuncts of a formula; "always" is distributed over its conjuncts."""
     if isinstance(formula, And):
         for operand in formula.operands:
-            yield from _split(operand)
+            yield from _list_conjuncts(operand)
     elif isinstance(formula, Always):
-        for part in _split(formula.child):
+        for part in _list_conjuncts(formula.child):
             yield Always(formula.interval, part)
     else:
         yield formula
 
 
 def _progress_always(part: Always, trace: Trace, now: float) -> tuple[Formula | bool, bool]:
-    """Return what is left of what always holds, and whether it was violated: what still holds now is worth keeping."""
-    found = progress(part, trace, FORGIVEN)
+    """Return what is left of an "always", and whether the past violated it; one that holds now is kept all the same."""
+    found = progress(part, trace, REPAIR.forgiven)
     violated = found is False
     if violated and part.interval[1] > now:
         found = Always((0.0, round(part.interval[1] - now, 9)), part.child)
     if isinstance(found, Always) and found.interval[0] == 0.0:
         present = float(robustness_signal(part.child, trace)[-1])
-        if present < -FORGIVEN:
+        if present < -REPAIR.forgiven:
             return False, True
     return found, violated
 
@@ -203,18 +209,18 @@ def _write_true(scenario: FreeFlyerScenario) -> str:
 
 
 def _read_velocity(scenario: FreeFlyerScenario, name: str, velocity: np.ndarray) -> np.ndarray:
-    """Return the velocity of a robot within its limit, and of an object nil where it is within an estimate's error."""
+    """Return a velocity: a robot's within its limit, an object's zero where it may be an error of the estimate."""
     body, found = scenario.body(name), np.array(velocity, dtype=float)
     if isinstance(body, Robot):
         return np.clip(found, -body.speed_limit, body.speed_limit)
-    return found if np.linalg.norm(found) > STILL else np.zeros(2)
+    return found if np.linalg.norm(found) > REPAIR.still else np.zeros(2)
 
 
-def _settle(scenario: FreeFlyerScenario, parts: tuple[Formula, ...], places: dict[str, np.ndarray]) -> None:
-    """Move bodies into the areas that hold now and into the world, then apart; robots rather than objects."""
+def _project_places(scenario: FreeFlyerScenario, parts: tuple[Formula, ...], places: dict[str, np.ndarray]) -> None:
+    """Project bodies into their current areas and the world, then separate overlaps, moving robots first."""
     for part in parts:
         if isinstance(part, Always) and part.interval[0] == 0.0 and isinstance(part.child, In):
-            _put_inside(scenario, part.child, places)
+            _project_into_area(scenario, part.child, places)
     for name in scenario.bodies:
         inset = scenario.body(name).radius
         places[name] = np.clip(
@@ -236,22 +242,22 @@ def _settle(scenario: FreeFlyerScenario, parts: tuple[Formula, ...], places: dic
             places[second] = places[second] + (1.0 - share) * short * normal
 
 
-def _put_inside(scenario: FreeFlyerScenario, predicate: In, places: dict[str, np.ndarray]) -> None:
-    """Put a body that misses an area by less than is forgiven a little inside of it, or out of one to avoid."""
+def _project_into_area(scenario: FreeFlyerScenario, predicate: In, places: dict[str, np.ndarray]) -> None:
+    """Move a body that misses an area by little a short way inside, or out of an area to avoid."""
     H, b = scenario.areas[predicate.area].halfspaces()
     beyond = H @ places[predicate.body] - b
     if predicate.negated:
-        if -FORGIVEN <= beyond.max() < INSIDE:
-            places[predicate.body] = places[predicate.body] + (INSIDE - beyond.max()) * H[beyond.argmax()]
+        if -REPAIR.forgiven <= beyond.max() < REPAIR.inside:
+            places[predicate.body] = places[predicate.body] + (REPAIR.inside - beyond.max()) * H[beyond.argmax()]
         return
     for face, bound in zip(H, b, strict=True):
         excess = float(face @ places[predicate.body] - bound)
-        if -INSIDE < excess <= FORGIVEN:
-            places[predicate.body] = places[predicate.body] - (excess + INSIDE) * face
+        if -REPAIR.inside < excess <= REPAIR.forgiven:
+            places[predicate.body] = places[predicate.body] - (excess + REPAIR.inside) * face
 
 
-def _brake(scenario: FreeFlyerScenario, places: Mapping[str, np.ndarray], speeds: dict[str, np.ndarray]) -> None:
-    """Take from robots the closing speed that they cannot lose before they touch, if it may be an estimate's error."""
+def _slow_robots(scenario: FreeFlyerScenario, places: Mapping[str, np.ndarray], speeds: dict[str, np.ndarray]) -> None:
+    """Reduce a closing speed that a robot cannot lose before contact, where it may be an error of the estimate."""
     for name, robot in scenario.robots.items():
         strength = RESERVES.acceleration(robot)
         for other in scenario.bodies:
@@ -263,12 +269,12 @@ def _brake(scenario: FreeFlyerScenario, places: Mapping[str, np.ndarray], speeds
             closing = float((speeds[name] - speeds[other]) @ normal)
             gap = max(0.0, apart - robot.radius - scenario.body(other).radius)
             most = float(np.sqrt(2.0 * strength * gap))
-            if most < closing <= most + GRAZE:
+            if most < closing <= most + REPAIR.graze:
                 speeds[name] = speeds[name] - (closing - most) * normal
 
 
 def _find_wall(scenario: FreeFlyerScenario, reserves: Reserves) -> float:
-    """Return the distance to keep from solid obstacles: the reserve, or what the starts leave of it [m]."""
+    """Return the distance to keep from solid obstacles: the reserve, or less where bodies start closer [m]."""
     gaps = [reserves.wall]
     for name in scenario.bodies:
         body = scenario.body(name)

@@ -10,7 +10,7 @@ from planners.free_flyer.specification.requirement import Requirement
 from planners.quintic_spline import DEGREE, QuinticSpline
 from planners.spline_rows import SplineRows
 
-SAME_TIME = 1e-6  # [s]
+SAME_TIME = 1e-6  # differences of times that count as none [s]
 
 
 def add_requirement_rows(
@@ -20,23 +20,23 @@ def add_requirement_rows(
     rho: float,
     points: Mapping[str, np.ndarray],
 ) -> None:
-    """Keep a requirement on control points, and so at all times of its window.
+    """Keep a requirement on control points, and thereby at all times of its window.
 
-    What is not convex is taken from previous points: beyond which face to avoid an area, and on which side to stay
-    apart (that of the nearest control points), for every segment.
+    What is not convex is taken from the previous points, segment by segment: the face beyond which an area is avoided,
+    and the side on which bodies stay apart (that of the nearest control points).
 
     Args:
         rows: gets the rows, of kind "area".
         splines: robot name to its spline.
-        need: with its window; one that is about objects only adds nothing.
+        need: with its window; one about objects alone adds nothing.
         rho: robustness to keep [m].
         points: previous control points of robots, and the control points of objects, each shape (S, 6, 2) [m].
     """
     movable = [name for name in need.bodies if name in splines]
     if not movable:
         return
-    active = _active(need, splines[movable[0]].times)
-    for normals, limit in _half_planes(need, rho, points, active):
+    active = _find_active(need, splines[movable[0]].times)
+    for normals, limit in _find_half_planes(need, rho, points, active):
         limits = np.where(active, limit, np.inf)
         for name in normals.keys() - splines.keys():
             limits = limits - np.sum(normals[name] * points[name], axis=2)
@@ -44,8 +44,8 @@ def add_requirement_rows(
         rows.add(parts, limits.ravel(), "area")
 
 
-def _active(need: Requirement, times: np.ndarray) -> np.ndarray:
-    """Return which control points have to keep the requirement, shape (S, 6): at a breakpoint, only those there."""
+def _find_active(need: Requirement, times: np.ndarray) -> np.ndarray:
+    """Return which control points have to keep the requirement, shape (S, 6): at a breakpoint only those there."""
     active = np.zeros((len(times) - 1, DEGREE + 1), dtype=bool)
     if need.start == need.end:
         active[:, 0] = np.abs(times[:-1] - need.start) < SAME_TIME
@@ -56,7 +56,7 @@ def _active(need: Requirement, times: np.ndarray) -> np.ndarray:
     return active
 
 
-def _half_planes(
+def _find_half_planes(
     need: Requirement, rho: float, points: Mapping[str, np.ndarray], active: np.ndarray
 ) -> list[tuple[dict[str, np.ndarray], np.ndarray | float]]:
     """Return pairs (body to normals of its control points, limits): the sum of normals . p is at most the limit."""

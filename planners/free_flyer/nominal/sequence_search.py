@@ -4,39 +4,25 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import Always, And, Formula
 from planners.errors import Infeasible, PlanningError
-from planners.free_flyer.nominal.effort import (
-    QUICK_WISHES,
-    WEIGHTS,
-    WISHES,
-    EffortProblem,
-    build_effort_problem,
-    read_word,
-)
 from planners.free_flyer.nominal.event_sequence import Word
-from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.specification.requirement import Demands
-
-TANGENTS = 5  # perspective cuts per sign while words are compared
-GAP = 0.01  # to which words are compared
-NODES = 300  # of the search over all words that bounds the effort, if there are at most so many binaries of hits:
-FEW = 24
-EVALUATIONS, QUICK_EVALUATIONS = 60, 8  # of words, at most
+from planners.free_flyer.nominal.least_cost import build_cost_problem, read_word
+from planners.free_flyer.nominal.task import NominalTask, PlanOptions, Wish
+from planners.free_flyer.specification.grid import GridSize
 
 
 @dataclass(frozen=True)
-class WordSearch:
+class FoundWords:
     """Hold what a search over words came to.
 
     Args:
-        words: that have plans, least effort first.
-        bound: no word of this length has less effort [m^2/s].
+        words: that have plans, least path cost first.
+        bound: no word of this length costs less [m^2/s].
     """
 
     words: tuple[Word, ...]
@@ -44,13 +30,13 @@ class WordSearch:
 
 
 def restrict_to_object(scenario: FreeFlyerScenario, name: str) -> FreeFlyerScenario | None:
-    """Return the scenario with one object and what the formula asks of it and the robots; None: nothing of it.
+    """Return the scenario of one object, with what the formula asks of it and the robots; None: it asks nothing of it.
 
-    Whatever solves the whole scenario solves this one, so its fewest impacts and its robustness are bounds.
+    A solution of the whole scenario solves this one too, so its fewest impacts and its robustness are bounds.
 
     Args:
         scenario: with several objects.
-        name: of the object that stays.
+        name: of the object that is kept.
     """
     bodies = {*scenario.robots, name}
     parts = list(_parts_about(scenario.specification.expand(scenario.bodies), bodies))
@@ -73,84 +59,91 @@ def _parts_about(formula: Formula, bodies: set[str]) -> Iterator[Formula]:
 
 
 def search_words(
-    scenario: FreeFlyerScenario,
-    demands: Demands,
-    shape: tuple[int, int],
+    task: NominalTask,
+    size: GridSize,
     rho: float,
-    reserves: Reserves,
     seed: Word,
-    time_limit: Callable[[], float],
-    solver: str = "highs",
-    thorough: bool = True,
-) -> WordSearch:
-    """Search for the words of least effort that keep a robustness.
+    find_time_left: Callable[[], float],
+    options: PlanOptions,
+) -> FoundWords:
+    """Search for the words of least path cost that keep a robustness.
 
-    Steps exchange two neighbouring impacts or the robot of one. A step whose linear relaxation is not better than
-    the best word is not looked at further. Numbers of steps and nodes end the search, not the clock, unless the time
-    limit comes first. The bound is that of a search over all words at once, without distances between bodies; where
-    there are many words, of its linear relaxation alone.
+    A step exchanges two neighbouring impacts or the robot of one impact. A word whose linear relaxation is not better
+    than the best word is not solved. The search ends by its numbers of words and nodes, not by the clock, unless the
+    time limit comes first. The bound is that of a search over all words at once, without distances between bodies;
+    where there are many words, that of its linear relaxation.
 
     Args:
-        scenario: what to plan.
-        demands: its demands.
-        shape: number of impacts, and of pieces per leg.
+        task: what is asked.
+        size: of the grid.
         rho: robustness to keep [m].
-        reserves: what the plan keeps in hand.
         seed: word to start from.
-        time_limit: returns the time left [s].
-        solver: of mixed-integer models.
-        thorough: whether to look on after the first word that has a plan, and to bound the effort.
+        find_time_left: returns the time left [s].
+        options: of the search, and of the path cost.
 
     Returns:
-        The words with plans; none if the search found none.
+        The words with plans; empty if the search found none.
     """
     bound, found = 0.0, None
-    if thorough:
-        bound, found = _bound_effort(scenario, demands, shape, rho, reserves, time_limit(), solver)
+    if options.search.improve:
+        bound, found = _bound_cost(task, size, rho, find_time_left(), options)
     starts = [seed] if found is None else [seed, found]
-    efforts: dict[Word, float] = {}
-    for wish in WISHES if thorough else QUICK_WISHES:
-
-        def measure(word: Word, best: float, wish: tuple[bool, bool] = wish) -> float:
-            if word not in efforts:
-                build = partial(
-                    build_effort_problem, scenario, demands, shape, rho, reserves, time_limit(), wish, word, solver
-                )
-                efforts[word] = _measure_word(build, best)
-            return efforts[word]
-
-        best = min(starts, key=lambda word: measure(word, math.inf))
-        if thorough or efforts[best] == math.inf:
-            _descend(scenario, best, bound, efforts, measure, time_limit, thorough)
-        if min(efforts.values()) < math.inf:
+    costs: dict[Word, float] = {}
+    for wish in options.cost.wishes:
+        search = _Search(task, size, rho, wish, find_time_left, options)
+        best = min(starts, key=search.measure)
+        if options.search.improve or search.costs[best] == math.inf:
+            search.descend(best, bound)
+        costs = search.costs
+        if min(costs.values()) < math.inf:
             break
-        efforts.clear()
-    ranked = sorted((effort, word) for word, effort in efforts.items() if math.isfinite(effort))
-    return WordSearch(tuple(word for _, word in ranked), bound)
+    ranked = sorted((cost, word) for word, cost in costs.items() if math.isfinite(cost))
+    return FoundWords(tuple(word for _, word in ranked), bound)
 
 
-def _descend(
-    scenario: FreeFlyerScenario,
-    best: Word,
-    bound: float,
-    efforts: Mapping[Word, float],
-    measure: Callable[[Word, float], float],
-    time_limit: Callable[[], float],
-    thorough: bool,
-) -> None:
-    """Step from word to better word until there is none; without any that has a plan, through all neighbours."""
-    improving = True
-    while improving and efforts[best] > (1.0 + GAP) * bound:
-        improving = False
-        for word in _neighbours(scenario, best):
-            if len(efforts) >= (EVALUATIONS if thorough else QUICK_EVALUATIONS) or time_limit() <= 0.0:
-                break
-            if measure(word, efforts[best]) < (1.0 - GAP) * efforts[best]:
-                best, improving = word, thorough
-                break
+@dataclass
+class _Search:
+    """Hold the costs of the words tried under one wish; arguments as for `search_words`."""
+
+    task: NominalTask
+    size: GridSize
+    rho: float
+    wish: Wish
+    find_time_left: Callable[[], float]
+    options: PlanOptions
+    costs: dict[Word, float] = field(default_factory=dict)
+
+    def measure(self, word: Word, best: float = math.inf) -> float:
+        """Return the least cost of a word; infinite if it has no plan, or none better than the best."""
+        if word not in self.costs:
+            self.costs[word] = self._solve(word, best)
+        return self.costs[word]
+
+    def descend(self, best: Word, bound: float) -> None:
+        """Step from word to better word until there is none; as long as no word has a plan, try all neighbours."""
+        options, improving = self.options.search, True
+        while improving and self.costs[best] > (1.0 + options.gap) * bound:
+            improving = False
+            for word in _list_neighbours(self.task.scenario, best):
+                if len(self.costs) >= options.evaluations or self.find_time_left() <= 0.0:
+                    break
+                if self.measure(word, self.costs[best]) < (1.0 - options.gap) * self.costs[best]:
+                    best, improving = word, options.improve
+                    break
+
+    def _solve(self, word: Word, best: float) -> float:
+        options, limit = self.options.search, self.find_time_left()
+        cost = replace(self.options.cost, tangents=options.tangents, rounds=1)
+        try:
+            problem = build_cost_problem(self.task, self.size, self.rho, self.wish, cost, limit, word)
+            if problem.relax()[0] >= (1.0 - options.gap) * best:
+                return math.inf
+            return problem.solve(options.weight, options.gap).cost
+        except PlanningError:
+            return math.inf
 
 
-def _neighbours(scenario: FreeFlyerScenario, word: Word) -> Iterator[Word]:
+def _list_neighbours(scenario: FreeFlyerScenario, word: Word) -> Iterator[Word]:
     for k, (first, second) in enumerate(itertools.pairwise(word)):
         if first[1] != second[1]:
             yield (*word[:k], second, first, *word[k + 2 :])
@@ -160,33 +153,16 @@ def _neighbours(scenario: FreeFlyerScenario, word: Word) -> Iterator[Word]:
                 yield (*word[:k], (other, name), *word[k + 1 :])
 
 
-def _bound_effort(
-    scenario: FreeFlyerScenario,
-    demands: Demands,
-    shape: tuple[int, int],
-    rho: float,
-    reserves: Reserves,
-    time_limit: float,
-    solver: str,
+def _bound_cost(
+    task: NominalTask, size: GridSize, rho: float, time_limit: float, options: PlanOptions
 ) -> tuple[float, Word | None]:
-    """Return a bound of the effort over all words, without distances, and the best word on the way."""
+    """Return a bound of the cost over all words, without distances, and the best word that its search met."""
+    search, wish = options.search, options.cost.wishes[-1]
+    cost = replace(options.cost, tangents=2 * search.tangents)
     try:
-        problem = build_effort_problem(
-            scenario, demands, shape, rho, reserves, time_limit, WISHES[-1], solver=solver, tangents=2 * TANGENTS
-        )
-        nodes = NODES if sum(len(hits) for hits in problem.grid.hits) <= FEW else 0
+        problem = build_cost_problem(task, size, rho, wish, cost, time_limit)
+        nodes = search.nodes if sum(len(hits) for hits in problem.grid.hits) <= search.few else 0
         bound, point = problem.relax(nodes)
     except Infeasible:
         return math.inf, None
     return max(bound, 0.0), read_word(problem.grid, point) if nodes and point is not None else None
-
-
-def _measure_word(build: Callable[..., EffortProblem], best: float) -> float:
-    """Return the least effort of a word; infinite if it has no plan, or none better than the best."""
-    try:
-        problem = build(tangents=TANGENTS, rounds=1)
-        if problem.relax()[0] >= (1.0 - GAP) * best:
-            return math.inf
-        return problem.solve(WEIGHTS[1]).effort
-    except PlanningError:
-        return math.inf

@@ -1,4 +1,4 @@
-"""Turn knots into motions of bodies with radii: one convex QP in true acceleration, repeated with better sides."""
+"""Turn knots into smooth motions of bodies with radii: a convex QP in acceleration, repeated with better sides."""
 
 from __future__ import annotations
 
@@ -20,15 +20,12 @@ from planners.free_flyer.nominal.requirement_rows import add_requirement_rows
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.requirement import Requirement
 from planners.plan import PlannedImpact
-from planners.quintic_spline import DEGREE, Node, QuinticSpline, build_quintic_spline
-from planners.spline_rows import SplineRows
+from planners.quintic_spline import DEGREE, Breakpoint, QuinticSpline, build_quintic_spline
+from planners.spline_rows import SmoothingOptions, SplineRows, find_sides
 
-JERK_WEIGHT = 1.0  # [s^2]
-GROWTH = 0.03  # how fast robot and object must part after, and may near before, their own impact [m/s]
-SLACK_WEIGHTS = 1e3, 1e5  # the second for what the first leaves violated
-AREA_TOLERANCE = 1e-6  # [m]
-ROUNDS, QUICK_ROUNDS = 8, 3
+AREA_TOLERANCE = 1e-6  # by which areas may be left [m]
 SHORTEST = 0.099  # segment between a breakpoint and the end of a window [s]
+COST_SCALE = 100.0  # accelerations are some 0.01 m/s^2
 
 
 @dataclass(frozen=True)
@@ -39,6 +36,7 @@ class _Problem:
     needs: tuple[Requirement, ...]
     rho: float
     reserves: Reserves
+    options: SmoothingOptions
     times: np.ndarray
     splines: dict[str, QuinticSpline]
     object_points: dict[str, np.ndarray]  # of every object on every segment, shape (S, 6, 2)
@@ -51,22 +49,22 @@ def smooth_motions(
     needs: Sequence[Requirement],
     rho: float,
     reserves: Reserves,
-    rounds: int = ROUNDS,
+    options: SmoothingOptions,
 ) -> dict[str, Curve]:
     r"""Return the robots' curves: int |a|^2 + w |j|^2 dt is least.
 
     Every segment's duration is a number, so velocities, accelerations and differences between bodies are
     linear in the control points, and half-spaces on control points hold at all times. What is not convex
-    (which side to pass on) is taken from the previous round, at first from the event grid.
+    (on which side to pass a body) is taken from the previous round, in the first one from the event grid.
 
     Args:
         scenario: limits, radii, starts and goals.
         sequence: events.
         impacts: from `compute_impacts`.
         needs: requirements of the formula and of solid obstacles.
-        rho: robustness to keep in them [m].
+        rho: robustness to keep [m].
         reserves: clearances.
-        rounds: at most, with each of the weights.
+        options: weights and number of rounds.
 
     Returns:
         Robot name to its curve.
@@ -74,15 +72,15 @@ def smooth_motions(
     Raises:
         Infeasible: some distance, area or limit cannot be kept.
     """
-    problem = _build_problem(scenario, sequence, impacts, tuple(needs), rho, reserves)
+    problem = _build_problem(scenario, sequence, impacts, tuple(needs), rho, reserves, options)
     points = {name: _interpolate_knots(problem, name) for name in scenario.robots}
-    # Clearance is a reserve, of which half may be spent; the check of the plan knows what must not.
+    # Clearance is a reserve of which half may be spent here; the check of the plan knows what bodies really need.
     allowed = {"area": AREA_TOLERANCE, "clearance": 0.5 * reserves.clearance}
     good = False
-    for weight in SLACK_WEIGHTS:
-        for _ in range(0 if good else rounds):
+    for price in options.slack_weights:
+        for _ in range(0 if good else options.rounds):
             before = good
-            points, worst = _solve_round(problem, points, weight)
+            points, worst = _solve_round(problem, points, price)
             good = all(worst[kind] <= limit for kind, limit in allowed.items())
             if before and good:
                 break
@@ -100,6 +98,7 @@ def _build_problem(
     needs: tuple[Requirement, ...],
     rho: float,
     reserves: Reserves,
+    options: SmoothingOptions,
 ) -> _Problem:
     windows = [t for need in needs if scenario.robots.keys() & need.bodies for t in (need.start, need.end)]
     times = _make_breakpoints(sequence.times, windows)
@@ -109,11 +108,11 @@ def _build_problem(
         name: make_object_curve(sequence, name).position(moments).reshape(-1, DEGREE + 1, 2)
         for name in scenario.objects
     }
-    return _Problem(scenario, sequence, impacts, needs, rho, reserves, times, splines, object_points)
+    return _Problem(scenario, sequence, impacts, needs, rho, reserves, options, times, splines, object_points)
 
 
 def _make_breakpoints(events: np.ndarray, windows: Sequence[float]) -> np.ndarray:
-    """Return breakpoints, dense near events, where velocities turn; ends of windows take the place of near ones."""
+    """Return breakpoints, dense near events, where velocities change; ends of windows replace breakpoints near them."""
     times = [0.0]
     for start, end in itertools.pairwise(events):
         count = int(np.clip(np.ceil((end - start) / 3.0), 4, 14))
@@ -131,15 +130,15 @@ def _make_spline(
 ) -> QuinticSpline:
     robot, rest = scenario.robots[name], (np.zeros(2), np.zeros(2))
     moving = np.array(robot.start_velocity)
-    nodes = {
-        0: Node(np.array(robot.start), (moving, moving)),
-        len(times) - 1: Node(None if robot.goal is None else np.array(robot.goal), rest),
+    known = {
+        0: Breakpoint(np.array(robot.start), (moving, moving)),
+        len(times) - 1: Breakpoint(None if robot.goal is None else np.array(robot.goal), rest),
     }
     for impact in impacts:
         if impact.robot == name:
             j = int(np.flatnonzero(times == impact.time)[0])
-            nodes[j] = Node(impact.contact, (impact.robot_minus, impact.robot_plus))
-    return build_quintic_spline(times, nodes)
+            known[j] = Breakpoint(impact.contact, (impact.robot_minus, impact.robot_plus))
+    return build_quintic_spline(times, known)
 
 
 def _interpolate_knots(problem: _Problem, name: str) -> np.ndarray:
@@ -151,9 +150,9 @@ def _interpolate_knots(problem: _Problem, name: str) -> np.ndarray:
 
 
 def _solve_round(
-    problem: _Problem, points: dict[str, np.ndarray], weight: float
+    problem: _Problem, points: dict[str, np.ndarray], price: float
 ) -> tuple[dict[str, np.ndarray], dict[str, float]]:
-    """Solve the QP with the sides read off the previous points; returns new points and violations by kind."""
+    """Solve the QP with the sides of the previous points; returns new points and violations by kind."""
     splines = problem.splines
     rows = SplineRows(splines)
     for name in splines:
@@ -166,25 +165,10 @@ def _solve_round(
         _add_robot_clearance(rows, problem, first, second, points)
     _add_requirements(rows, problem, points)
     A, b = rows.stack()
-    P, q = _make_cost(splines, np.full(rows.slacks, weight))
-    x = solve_clarabel("smoothing", P, q, A, b, [clarabel.NonnegativeConeT(len(b))])
-    found = {}
-    for name, spline in splines.items():
-        states = x[rows.starts[name] :][: 2 * spline.size].reshape(2, -1).T
-        found[name] = spline.position.apply(states).reshape(-1, DEGREE + 1, 2)
-    return found, {kind: rows.violation(x, kind) for kind in ("area", "clearance")}
-
-
-def _make_cost(splines: dict[str, QuinticSpline], prices: np.ndarray) -> tuple[sparse.csc_matrix, np.ndarray]:
-    # Accelerations are some 0.01 m/s^2; a factor brings the cost near 1, where the solver's tolerances fit.
-    blocks, linear = [], []
-    for spline in splines.values():
-        quadratic, slope = spline.cost(JERK_WEIGHT)
-        blocks += [100.0 * quadratic, 100.0 * quadratic]
-        linear += [100.0 * slope[:, 0], 100.0 * slope[:, 1]]
-    blocks.append(sparse.csc_matrix((len(prices), len(prices))))
-    P = sparse.triu(sparse.block_diag(blocks), format="csc")
-    return P, np.concatenate([*linear, prices])
+    P, q = rows.make_cost(problem.options.jerk_weight, COST_SCALE, price)
+    x = solve_clarabel("smoothing", sparse.triu(P, format="csc"), q, A, b, [clarabel.NonnegativeConeT(len(b))])
+    found = {name: rows.read_points(x, name) for name in splines}
+    return found, {kind: rows.measure_violation(x, kind) for kind in ("area", "clearance")}
 
 
 def _add_limits(rows: SplineRows, problem: _Problem, name: str) -> None:
@@ -197,7 +181,7 @@ def _add_limits(rows: SplineRows, problem: _Problem, name: str) -> None:
             rows.add([(name, part, normals)], np.full(len(normals), limit))
     if problem.reserves.thrust <= np.sqrt(0.5):
         return
-    # The corners of the box would ask for more thrust than there is.
+    # The corners of the box would need more thrust than there is.
     share = min(problem.reserves.thrust, 1.0)
     diagonal = np.sqrt(0.5) * (share + np.sqrt(1.0 - share**2)) * robot.force_limit / robot.mass
     for x, y in itertools.product((1.0, -1.0), repeat=2):
@@ -219,43 +203,31 @@ def _add_world(rows: SplineRows, problem: _Problem, name: str, points: np.ndarra
             ends.append(find_halt(robot, problem.reserves)[axis])
         inset = min(robot.radius + problem.reserves.wall, edge - max(sign * end for end in ends))
         inset = max(inset, min(robot.radius, edge - sign * robot.start[axis]))
-        _add_halfspaces(rows, problem, name, normals, np.full(normals.shape[:2], edge - inset))
+        rows.add_halfspaces(name, normals, np.full(normals.shape[:2], edge - inset), "area")
 
 
 def _add_requirements(rows: SplineRows, problem: _Problem, points: dict[str, np.ndarray], name: str = "") -> None:
-    """Keep what is demanded of one robot alone, or, without a name, of several bodies together."""
+    """Keep what is demanded of one robot alone or, without a name, of several bodies together."""
     places = points | problem.object_points
     for need in problem.needs:
         if need.bodies == (name,) or (not name and len(need.bodies) > 1):
             add_requirement_rows(rows, problem.splines, need, problem.rho, places)
 
 
-def _add_halfspaces(
-    rows: SplineRows,
-    problem: _Problem,
-    name: str,
-    normals: np.ndarray,
-    limits: np.ndarray,
-    soft: str = "area",
-) -> None:
-    """Add normals . p <= limits on control points."""
-    rows.add([(name, problem.splines[name].position, normals.reshape(-1, 2))], limits.ravel(), soft)
-
-
 def _add_object_clearance(rows: SplineRows, problem: _Problem, name: str, struck: str, points: np.ndarray) -> None:
-    """Keep the robot off an object, at contact distance only at its own impacts with it."""
+    """Keep the robot away from an object; only at its own impacts it is at contact distance."""
     scenario = problem.scenario
     own = [impact for impact in problem.impacts if (impact.robot, impact.object) == (name, struck)]
     touching = scenario.robots[name].radius + scenario.objects[struck].radius
-    normals = _sides(problem.object_points[struck] - points)
+    normals = find_sides(problem.object_points[struck] - points)
     for impact in own:
         for segment in np.flatnonzero((problem.times[:-1] == impact.time) | (problem.times[1:] == impact.time)):
             normals[segment] = impact.normal
-    anchors = [(impact.time, touching, _parting_speed(scenario, impact)) for impact in own]
-    anchors += _fixed_ends(problem, struck, name)
-    wanted = _distance_profile(problem, name, touching + problem.reserves.clearance, anchors)
+    anchors = [(impact.time, touching, _compute_parting_speed(problem, impact)) for impact in own]
+    anchors += _find_end_distances(problem, struck, name)
+    wanted = _make_distance_profile(problem, name, touching + problem.reserves.clearance, anchors)
     limits = np.sum(normals * problem.object_points[struck], axis=2) - wanted
-    _add_halfspaces(rows, problem, name, normals, limits, "clearance")
+    rows.add_halfspaces(name, normals, limits, "clearance")
 
 
 def _add_robot_clearance(
@@ -263,48 +235,41 @@ def _add_robot_clearance(
 ) -> None:
     robots = problem.scenario.robots
     wanted = robots[first].radius + robots[second].radius + problem.reserves.clearance
-    anchors = _fixed_ends(problem, first, second)
-    normals = _sides(points[second] - points[first]).reshape(-1, 2)
+    anchors = _find_end_distances(problem, first, second)
+    normals = find_sides(points[second] - points[first]).reshape(-1, 2)
     parts = [(name, problem.splines[name].position, sign * normals) for name, sign in ((first, 1), (second, -1))]
-    rows.add(parts, -_distance_profile(problem, first, wanted, anchors).ravel(), "clearance")
+    rows.add(parts, -_make_distance_profile(problem, first, wanted, anchors).ravel(), "clearance")
 
 
-def _sides(relative: np.ndarray) -> np.ndarray:
-    """Return one unit direction per segment, repeated for its control points; relative: shape (S, 6, 2)."""
-    middle = relative.mean(axis=1)
-    length = np.linalg.norm(middle, axis=1, keepdims=True)
-    unit = np.where(length > 1e-9, middle / np.maximum(length, 1e-9), [1.0, 0.0])
-    return np.repeat(unit[:, None, :], DEGREE + 1, axis=1)
-
-
-def _parting_speed(scenario: FreeFlyerScenario, impact: PlannedImpact) -> float:
-    """Return how fast the distance has to grow from an impact: never faster than the bodies really part."""
+def _compute_parting_speed(problem: _Problem, impact: PlannedImpact) -> float:
+    """Return how fast the least distance grows from an impact on: slower than the bodies really part [m/s]."""
     approach = float((impact.robot_minus - impact.object_minus) @ impact.normal)
-    return min(GROWTH, 0.5 * scenario.believed.restitution * approach)
+    return min(problem.options.parting_speed, 0.5 * problem.scenario.believed.restitution * approach)
 
 
-def _fixed_ends(problem: _Problem, first: str, second: str) -> list[tuple[float, float, float]]:
-    """Return the distances at the ends of the horizon as anchors, for they may be below what is wanted.
+def _find_end_distances(problem: _Problem, first: str, second: str) -> list[tuple[float, float, float]]:
+    """Return the distances at the ends of the horizon as anchors, for they may be smaller than wanted.
 
-    Bodies that near each other at the start first have to brake, c^2 / (2 a) on the way.
+    Bodies that approach each other at the start first have to brake, which takes c^2 / (2 a) of their distance.
     """
+    growth = problem.options.parting_speed
     places = problem.sequence.paths | problem.sequence.knots
     one, other = (problem.scenario.body(name) for name in (first, second))
     offset = np.subtract(one.start, other.start)
     start, end = float(np.linalg.norm(offset)), float(np.linalg.norm(places[first][-1] - places[second][-1]))
     if not any((*one.start_velocity, *other.start_velocity)):
-        return [(float(problem.times[0]), start, GROWTH), (float(problem.times[-1]), end, GROWTH)]
+        return [(float(problem.times[0]), start, growth), (float(problem.times[-1]), end, growth)]
     parting = float(np.subtract(one.start_velocity, other.start_velocity) @ offset) / start
     strength = sum(problem.reserves.acceleration(body) for body in (one, other) if isinstance(body, Robot))
     nearest = max(start - min(parting, 0.0) ** 2 / (2.0 * strength), min(start, one.radius + other.radius))
-    rate = float(np.clip(0.5 * parting, GROWTH / 3.0, GROWTH))
-    return [(float(problem.times[0]), nearest, rate), (float(problem.times[-1]), end, GROWTH)]
+    rate = float(np.clip(0.5 * parting, growth / 3.0, growth))
+    return [(float(problem.times[0]), nearest, rate), (float(problem.times[-1]), end, growth)]
 
 
-def _distance_profile(
+def _make_distance_profile(
     problem: _Problem, name: str, wanted: float, anchors: Sequence[tuple[float, float, float]]
 ) -> np.ndarray:
-    """Return the least distance at every control point, shape (S, 6): it grows away from (time, distance, rate)."""
+    """Return the least distance at every control point, shape (S, 6): it grows from anchors (time, distance, rate)."""
     moments = problem.splines[name].greville()
     profile = np.full(len(moments), wanted)
     for time, distance, rate in anchors:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
 from impact_envs.errors import InputError, choices
-from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.published.curve import JUMP, PublishedBody, PublishedPlan
 from planners.plan import PlannedImpact
 
@@ -37,31 +34,6 @@ def read_impacts(plan: PublishedPlan) -> tuple[PlannedImpact, ...]:
     if met != len(found):
         raise InputError(f"robots are labelled with {met} impacts, objects with {len(found)}")
     return tuple(sorted(found, key=lambda impact: impact.time))
-
-
-def compute_impact_law_errors(
-    impacts: Sequence[PlannedImpact], restitution: float, masses: Mapping[str, float] | None = None
-) -> np.ndarray:
-    """Return how far the objects' planned velocities are from those of the impact law for points.
-
-    |m3 v_R^- + m4 v_O^- - v_O^+| with planned velocities throughout.
-
-    Args:
-        impacts: planned impacts.
-        restitution: coefficient e the plan was made with.
-        masses: of every body [kg]; None: all equal.
-
-    Returns:
-        One error per impact, shape (K,) [m/s].
-
-    Source: Verhagen & Tumova, Eq. (5).
-    """
-    errors = []
-    for impact in impacts:
-        m_R, m_O = (1.0, 1.0) if masses is None else (masses[impact.robot], masses[impact.object])
-        _, _, m3, m4 = compute_mass_fractions(m_R, m_O, restitution)
-        errors.append(np.linalg.norm(m3 * impact.robot_minus + m4 * impact.object_minus - impact.object_plus))
-    return np.array(errors)
 
 
 def read_deviation(plan: PublishedPlan) -> float | None:

@@ -1,17 +1,16 @@
-"""Boxes instead of points on the grid of events: where an object can be, whatever the deviation at its impacts.
+"""The box grid: boxes that contain the object at its impacts, whatever the deviation of its velocity after each.
 
 Between impacts the object flies straight, so a box of positions and the deviation delta of the velocity after an
-impact decide where it is at the next one. With delta a number, Eqs. (17)-(19) are linear in positions,
-displacements and durations: times of impact stay continuous, and the axes decouple, so that the lower and the
-upper end of every interval take the place of the vertices.
+impact decide where it is at the next one. For a given delta, Eqs. (17)-(19) are linear in positions, displacements
+and durations: times of impact stay continuous. The axes decouple, so the lower and the upper end of every interval
+replace the vertices.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -20,14 +19,16 @@ from planners.errors import Infeasible
 from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.direction import AXES
+from planners.free_flyer.specification.grid import refine
 from planners.mixed_integer import Affine, Model
+from planners.path_cost import Displacement
 
-HALF_ANGLE = np.deg2rad(70.0)  # impulses are within this of the direction from the robot's side to the object
+HALF_ANGLE = np.deg2rad(70.0)  # of the cone of impulses around the direction from the robot's side to the object
 Point = np.ndarray  # shape (2,), of numbers or expressions [m]
 
 
 @dataclass(frozen=True)
-class Box:
+class PositionBox:
     """Hold an axis-aligned box of positions.
 
     Args:
@@ -40,7 +41,7 @@ class Box:
 
     @property
     def center(self) -> Point:
-        """Return the middle of the box [m]."""
+        """Return the centre of the box [m]."""
         return (self.lower + self.upper) * 0.5
 
     def support(self, normal: np.ndarray) -> Affine | float:
@@ -58,10 +59,10 @@ class Conditions:
         final_velocity: greatest speed per axis at the horizon of an object that has to rest [m/s].
         initial: half widths of the box the object starts in [m].
         margin: robustness that the boxes keep [m].
-        points: plan for bodies without extent: robots meet the object's centre, may pass through it, and may use
-            their full speed at impacts.
-        room: distance beyond its contact points over which a robot must not leave its areas, to come to a halt [m].
-        gather: the motions of a robot that hits twice running can meet in one point halfway between.
+        points: bodies have no extent: robots meet the object's centre, may pass through it, and may use their full
+            speed at impacts.
+        room: distance beyond its contact points within which a robot must not leave its areas, to come to a halt [m].
+        gather: the motions of a robot between two consecutive hits of its own must be able to meet in one point.
     """
 
     gap: float
@@ -74,7 +75,20 @@ class Conditions:
 
 
 @dataclass(frozen=True)
-class HullGrid:
+class ObjectLegs:
+    """Hold the legs of the object between its impacts, shape (K+1,) each.
+
+    Args:
+        durations: numbers or expressions [s].
+        caps: greatest speed per axis [m/s].
+    """
+
+    durations: Sequence[Affine | float]
+    caps: Sequence[float]
+
+
+@dataclass(frozen=True)
+class BoxGrid:
     """Hold the model and the meaning of its variables.
 
     Args:
@@ -84,16 +98,16 @@ class HullGrid:
         legs: durations of legs 0 .. K [s].
         times: t_0 = 0, impact times, t_{K+1} = T, and the ends of pieces between them [s].
         knots: boxes that hold every body at these times.
-        stands: robot to the boxes its legs are measured by: contact straight ahead, on its side of the object.
-        moves: displacement on leg k = 1 .. K from the lower and from the upper end of the object's box, per axis,
-            shape (2, 2) [m].
+        stands: robot to the boxes that its path is measured by: contact straight ahead, on its side of the object.
+        moves: displacement on leg k = 1 .. K from the lower and the upper end of the object's box, per axis, shape
+            (2, 2) [m].
         hits: per impact, robot name to the binary that it hits.
-        sides: robot to the binaries that it stays, on the whole, before the object along each of `AXES`; empty
-            for points.
+        sides: robot to one binary per axis of `AXES`, "the object is beyond the robot along this axis"; empty for
+            points.
         object: name of the object.
         caps: greatest speed per axis of the object on every leg [m/s].
         speeds: greatest speed per axis of every robot [m/s].
-        turns: time every robot loses to starting and stopping, per piece [s].
+        turns: time every robot loses by starting and stopping, per piece [s].
         delta: permissible deviation [m/s].
         velocities: boxes of the object's velocity on every leg, where the grid has them.
     """
@@ -103,8 +117,8 @@ class HullGrid:
     pieces: int
     legs: Sequence[Affine | float]
     times: list[Affine | float]
-    knots: dict[str, list[Box]]
-    stands: dict[str, list[Box]]
+    knots: dict[str, list[PositionBox]]
+    stands: dict[str, list[PositionBox]]
     moves: list[np.ndarray]
     hits: list[dict[str, Affine]]
     object: str
@@ -113,15 +127,24 @@ class HullGrid:
     turns: dict[str, float]
     delta: Affine | float
     sides: dict[str, list[Affine]] = field(default_factory=dict)
-    velocities: list[Box] = field(default_factory=list)
+    velocities: list[PositionBox] = field(default_factory=list)
 
     @property
     def count(self) -> int:
         """Return the number of pieces of all legs."""
         return len(self.times) - 1
 
+    def displacements(self) -> Iterator[Displacement]:
+        """Yield the pieces of path of the centres of boxes; the object's pieces share one velocity and count as one."""
+        for name, boxes in {**self.stands, self.object: self.knots[self.object]}.items():
+            stride = self.pieces if name == self.object else 1
+            for start in range(0, self.count, stride):
+                move = boxes[start + stride].center - boxes[start].center
+                fastest = self.caps[start // self.pieces] if name == self.object else self.speeds[name]
+                yield Displacement(name, move, self.duration(start) * float(stride), fastest)
+
     @property
-    def boxes(self) -> list[Box]:
+    def boxes(self) -> list[PositionBox]:
         """Return the object's boxes at t_0 .. t_{K+1}."""
         return self.knots[self.object][:: self.pieces]
 
@@ -135,14 +158,14 @@ class HullGrid:
         return self.hits[event - 1] if rest == 0 and 1 <= event <= len(self.hits) else {}
 
 
-def build_hull_grid(
+def build_box_grid(
     scenario: FreeFlyerScenario,
     impacts: int,
     delta: float,
     conditions: Conditions,
     reserves: Reserves,
     pieces: int = 1,
-) -> HullGrid:
+) -> BoxGrid:
     r"""Build the model of all motions that bear a deviation delta after each of K impacts, without formula or sides.
 
     For both ends p_s of the object's interval at impact k and both axes, with T_k = t_{k+1} - t_k,
@@ -166,10 +189,10 @@ def build_hull_grid(
 
     Source: Verhagen & Tumova, Eqs. (16)-(20), with continuous times.
     """
-    model = Model(f"hull grid of {scenario.name} with {impacts} impacts")
+    model = Model(f"box grid of {scenario.name} with {impacts} impacts")
     durations = _add_durations(model, scenario, impacts, conditions, reserves)
     caps = compute_leg_caps(scenario, impacts, conditions, reserves)
-    grid = make_grid(model, scenario, durations, caps, delta, conditions, reserves, pieces)
+    grid = make_grid(model, scenario, ObjectLegs(durations, caps), delta, conditions, reserves, pieces)
     for k, hits in enumerate(grid.hits, start=1):
         model.require_equal(sum(hits.values(), Affine({})) - 1.0)
         _add_flight_rows(grid, k)
@@ -179,49 +202,47 @@ def build_hull_grid(
 def make_grid(
     model: Model,
     scenario: FreeFlyerScenario,
-    legs: Sequence[Affine | float],
-    caps: Sequence[float],
+    legs: ObjectLegs,
     delta: Affine | float,
     conditions: Conditions,
     reserves: Reserves,
     pieces: int = 1,
     turning: bool = True,
-) -> HullGrid:
-    """Make the variables of all boxes and the rows that robots have to obey, whatever moves the object.
+) -> BoxGrid:
+    """Make the variables of all boxes, and the rows for robots that hold however the object moves.
 
     Args:
         model: gets them.
         scenario: one object, any number of robots.
-        legs: durations of legs 0 .. K [s].
-        caps: greatest speed per axis of the object on every leg [m/s].
+        legs: of the object.
         delta: permissible deviation [m/s].
         conditions: what it refers to.
         reserves: what the plan keeps in hand.
         pieces: number of pieces per leg.
-        turning: whether robots lose time to starting and stopping.
+        turning: whether robots lose time by starting and stopping.
 
     Returns:
-        The grid; nothing is said yet about who hits and where the object flies.
+        The grid, still without rows for who hits and where the object flies.
     """
-    name, events = next(iter(scenario.objects)), len(legs) - 1
-    boxes, moves = _add_object(model, scenario, name, caps, conditions, reserves)
+    name, events = next(iter(scenario.objects)), len(legs.durations) - 1
+    boxes, moves = _add_object(model, scenario, name, legs.caps, conditions, reserves)
     between = (events + 1) * pieces - 1
     stands = {robot: _add_robot(model, scenario, robot, between, reserves) for robot in scenario.robots}
     wide = stands
     if not conditions.points:
         wide = {robot: _add_robot(model, scenario, robot, between, reserves) for robot in scenario.robots}
-    grid = HullGrid(
+    grid = BoxGrid(
         model=model,
         rho=model.variable(conditions.margin, conditions.margin),
         pieces=pieces,
-        legs=legs,
-        times=_refine([0.0, *itertools.accumulate(legs[:-1]), scenario.horizon], pieces),
-        knots={**wide, name: _refine_boxes(boxes, pieces)},
+        legs=legs.durations,
+        times=refine([0.0, *itertools.accumulate(legs.durations[:-1]), scenario.horizon], pieces),
+        knots={**wide, name: refine(boxes, pieces)},
         stands=stands,
         moves=moves,
         hits=[{robot: model.binary() for robot in scenario.robots} for _ in range(events)],
         object=name,
-        caps=caps,
+        caps=legs.caps,
         speeds={robot: reserves.cruise(body) for robot, body in scenario.robots.items()},
         turns={robot: reserves.turning(body) * turning / pieces for robot, body in scenario.robots.items()},
         delta=delta,
@@ -269,20 +290,6 @@ def compute_leg_caps(
     return caps
 
 
-def _refine(values: Sequence[Any], pieces: int) -> list[Any]:
-    """Return the values with linear interpolations between them."""
-    fine = [values[0]]
-    for a, b in itertools.pairwise(values):
-        fine += [a + (b - a) * (i / pieces) for i in range(1, pieces)]
-        fine.append(b)
-    return fine
-
-
-def _refine_boxes(boxes: Sequence[Box], pieces: int) -> list[Box]:
-    ends = _refine([box.lower for box in boxes], pieces), _refine([box.upper for box in boxes], pieces)
-    return [Box(lower, upper) for lower, upper in zip(*ends, strict=True)]
-
-
 def _add_durations(
     model: Model, scenario: FreeFlyerScenario, impacts: int, conditions: Conditions, reserves: Reserves
 ) -> list[Affine]:
@@ -310,32 +317,34 @@ def _add_object(
     caps: Sequence[float],
     conditions: Conditions,
     reserves: Reserves,
-) -> tuple[list[Box], list[np.ndarray]]:
+) -> tuple[list[PositionBox], list[np.ndarray]]:
     start, half = np.array(scenario.objects[name].start), np.array(conditions.initial)
     lower, upper = _room(scenario, name, reserves)
-    boxes = [Box(start - half, start + half)] * 2
+    boxes = [PositionBox(start - half, start + half)] * 2
     moves = []
     for k, cap in enumerate(caps[1:]):
         reach = np.minimum(cap * scenario.horizon, upper - lower)
         ends = np.array([model.vector(-reach, reach) for _ in range(2)])
         if k == 0:
-            # An interval of no width has one end, and the velocity wanted there one value.
+            # An interval of no width is a single point, with one wanted velocity.
             ends[1] = np.where(half > 0.0, ends[1], ends[0])
         moves.append(ends)
-        boxes.append(Box(model.vector(lower, upper), model.vector(lower, upper)))
+        boxes.append(PositionBox(model.vector(lower, upper), model.vector(lower, upper)))
     return boxes, moves
 
 
-def _add_robot(model: Model, scenario: FreeFlyerScenario, name: str, between: int, reserves: Reserves) -> list[Box]:
+def _add_robot(
+    model: Model, scenario: FreeFlyerScenario, name: str, between: int, reserves: Reserves
+) -> list[PositionBox]:
     robot, (lower, upper) = scenario.robots[name], _room(scenario, name, reserves)
-    boxes = [Box(model.vector(lower, upper), model.vector(lower, upper)) for _ in range(between)]
+    boxes = [PositionBox(model.vector(lower, upper), model.vector(lower, upper)) for _ in range(between)]
     start = np.array(robot.start)
     end = model.vector(lower, upper) if robot.goal is None else np.array(robot.goal)
-    return [Box(start, start), *boxes, Box(end, end)]
+    return [PositionBox(start, start), *boxes, PositionBox(end, end)]
 
 
-def _add_flight_rows(grid: HullGrid, k: int) -> None:
-    """Send both ends of the interval at impact k into the interval at the next event."""
+def _add_flight_rows(grid: BoxGrid, k: int) -> None:
+    """Require both ends of the interval at impact k to fly into the interval at the next event."""
     model, here, there, duration = grid.model, grid.boxes[k], grid.boxes[k + 1], grid.legs[k]
     spread = duration * grid.delta  # type: ignore[operator]
     for end, move in zip((here.lower, here.upper), grid.moves[k - 1], strict=True):
@@ -346,10 +355,10 @@ def _add_flight_rows(grid: HullGrid, k: int) -> None:
                 model.require(move[d] * sign + spread - duration * grid.caps[k])
 
 
-def _add_contact_rows(grid: HullGrid, scenario: FreeFlyerScenario, room: float) -> None:
-    """Give a robot that hits a box as large as the object's, and every other robot a point.
+def _add_contact_rows(grid: BoxGrid, scenario: FreeFlyerScenario, room: float) -> None:
+    """Give a robot that hits a box as large as the object's, and every other robot a single point.
 
-    It stands at contact distance on its side of the object, or anywhere within the cone of its impulses.
+    A robot that hits is at contact distance on its side of the object, or anywhere within the cone of its impulses.
     """
     model, radius = grid.model, scenario.objects[grid.object].radius
     for name, robot in scenario.robots.items():
@@ -363,13 +372,13 @@ def _add_contact_rows(grid: HullGrid, scenario: FreeFlyerScenario, room: float) 
                 model.require(stand.upper[d] - wide.upper[d])
             if not isinstance(hit, Affine):
                 continue
-            hull, sides = grid.boxes[knot // grid.pieces], grid.sides.get(name, [])
+            around, sides = grid.boxes[knot // grid.pieces], grid.sides.get(name, [])
             reach = (robot.radius + radius) * AXES[:, d]
             for box, least, most in ((stand, reach, reach), (wide, low[:, d] - room, high[:, d] + room)):
                 nearest = sum((side * value for side, value in zip(sides, least, strict=False)), Affine({}))
                 farthest = sum((side * value for side, value in zip(sides, most, strict=False)), Affine({}))
-                model.require(box.lower[d] - hull.lower[d] + farthest, unless=1.0 - hit)
-                model.require(hull.upper[d] - nearest - box.upper[d], unless=1.0 - hit)
+                model.require(box.lower[d] - around.lower[d] + farthest, unless=1.0 - hit)
+                model.require(around.upper[d] - nearest - box.upper[d], unless=1.0 - hit)
 
 
 def _cone_limits() -> tuple[np.ndarray, np.ndarray]:
@@ -379,8 +388,8 @@ def _cone_limits() -> tuple[np.ndarray, np.ndarray]:
     return low, -low[[1, 0, 3, 2]]
 
 
-def _add_speed_rows(grid: HullGrid, gather: bool) -> None:
-    """Let every robot get from anywhere in its box to anywhere in the next one, starting and stopping included."""
+def _add_speed_rows(grid: BoxGrid, gather: bool) -> None:
+    """Give every robot time to get from anywhere in its box to anywhere in the next, starting and stopping included."""
     for piece, (name, speed) in itertools.product(range(grid.count), grid.speeds.items()):
         here, there = grid.stands[name][piece : piece + 2]
         turn, hits = grid.turns[name], [grid.hits_at(knot).get(name) for knot in (piece, piece + 1)]

@@ -1,4 +1,4 @@
-"""Impacts of a robust plan in numbers: the boxes they happen in, and what each robot does about where the object is."""
+"""Impacts of a robust plan in numbers: their boxes, and the impact of each robot at every place in them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ VERTICES = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # which end of x and of y
 
 
 @dataclass(frozen=True)
-class HullSequence:
+class BoxSequence:
     """Hold numbers for the impacts of a plan that bears deviations.
 
     Args:
@@ -25,8 +25,8 @@ class HullSequence:
         commands: velocity wanted after impact k from the lower and from the upper end of its box, per axis,
             shape (K, 2, 2) [m/s].
         knot_times: increasing, shape (n,) [s].
-        knots: robot name to where it is taken to be then, shape (n, 2) [m].
-        delta: deviation of the object's velocity after every impact that is borne [m/s].
+        knots: robot name to its assumed positions at these times, shape (n, 2) [m].
+        delta: deviation of the object's velocity after every impact that the plan bears [m/s].
         points: bodies have no extent.
     """
 
@@ -42,7 +42,7 @@ class HullSequence:
 
     @property
     def centers(self) -> np.ndarray:
-        """Return the middles of the boxes, shape (K+2, 2) [m]."""
+        """Return the centres of the boxes, shape (K+2, 2) [m]."""
         return self.boxes.mean(axis=1)
 
     @property
@@ -51,7 +51,7 @@ class HullSequence:
         return 0.5 * (self.boxes[:, 1] - self.boxes[:, 0])
 
     def share(self, k: int, position: np.ndarray) -> np.ndarray:
-        """Return where positions are in the box of impact k, 0 at its lower and 1 at its upper end.
+        """Return the relative position in the box of impact k, per axis: 0 at its lower and 1 at its upper end.
 
         Args:
             k: impact, from 1.
@@ -62,14 +62,14 @@ class HullSequence:
         return np.where(wide, (position - lower) / np.where(wide, upper - lower, 1.0), 0.5)
 
     def command(self, k: int, position: np.ndarray) -> np.ndarray:
-        """Return the velocity wanted after impact k, affine in the position there, shape (..., 2) [m/s]."""
+        """Return the velocity wanted after impact k, which is affine in the position there, shape (..., 2) [m/s]."""
         first, second = self.commands[k - 1]
         return first + self.share(k, position) * (second - first)
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """Hold one side of impacts, each shape (..., 2).
+    """Hold the robot's side of impacts, each shape (..., 2).
 
     Args:
         normal: direction of the impulse.
@@ -86,7 +86,7 @@ class Contacts:
 
 def compute_contacts(
     scenario: FreeFlyerScenario,
-    sequence: HullSequence,
+    sequence: BoxSequence,
     k: int,
     position: np.ndarray,
     before: np.ndarray,
@@ -120,12 +120,12 @@ def compute_contacts(
 
 
 def compute_vertices(
-    scenario: FreeFlyerScenario, sequence: HullSequence, k: int
+    scenario: FreeFlyerScenario, sequence: BoxSequence, k: int
 ) -> tuple[np.ndarray, np.ndarray, Contacts]:
     """Return the vertices of the box of impact k and what the robot does there.
 
-    The velocity before the impact is taken to be that of a flight from the middle of the previous box, which
-    is affine in the position as well.
+    The velocity before the impact is that of a flight from the centre of the previous box, which is affine in the
+    position as well.
 
     Args:
         scenario: masses, radii and believed restitution.
@@ -141,8 +141,8 @@ def compute_vertices(
     return corners, before, compute_contacts(scenario, sequence, k, corners, before, sequence.command(k, corners))
 
 
-def compute_arrival(sequence: HullSequence, k: int, position: np.ndarray, previous: np.ndarray) -> np.ndarray:
-    """Return the object's velocity just before impact k: it flew there from its previous impact.
+def compute_arrival(sequence: BoxSequence, k: int, position: np.ndarray, previous: np.ndarray) -> np.ndarray:
+    """Return the object's velocity just before impact k, on its flight from the previous impact.
 
     Args:
         sequence: the impacts.
@@ -155,10 +155,10 @@ def compute_arrival(sequence: HullSequence, k: int, position: np.ndarray, previo
     return (position - previous) / (sequence.times[k] - sequence.times[k - 1])
 
 
-def tighten(sequence: HullSequence) -> HullSequence:
-    """Shrink every box to what the same policy reaches from the one before.
+def tighten(sequence: BoxSequence) -> BoxSequence:
+    """Shrink every box to what the same policy reaches from the box before.
 
-    The middle of every box is then where the object is if nothing deviates.
+    The centre of every box is then where the object is if nothing deviates.
 
     Args:
         sequence: impacts whose boxes may be too large.
@@ -177,7 +177,7 @@ def tighten(sequence: HullSequence) -> HullSequence:
     return replace(sequence, boxes=boxes, commands=commands)
 
 
-def make_tube(sequence: HullSequence) -> Tube:
+def make_tube(sequence: BoxSequence) -> Tube:
     """Return the boxes in state space that the object cannot leave, one segment per leg.
 
     Args:

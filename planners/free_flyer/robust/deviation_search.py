@@ -1,4 +1,4 @@
-"""Search for the greatest deviation: a mixed-integer problem for every number tried, convex ones in between."""
+"""Search for the greatest deviation: a mixed-integer problem for every deviation tried, linear ones in between."""
 
 from __future__ import annotations
 
@@ -9,80 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import Always, And, Predicate
 from planners.errors import Infeasible, SolverFailed
-from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.robust.box_grid import Conditions, HullGrid, build_hull_grid
-from planners.free_flyer.robust.side_rows import add_side_rows
-from planners.free_flyer.robust.zonotope_grid import build_zonotope_grid
-from planners.free_flyer.specification.formula_rows import add_demands
+from planners.free_flyer.robust.task import RobustTask
+from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import Demands, Requirement
-from planners.free_flyer.specification.selection import Choices
 from planners.mixed_integer import Model, evaluate
 from planners.solvers import solve
-
-TOLERANCE = 2e-3  # of the greatest deviation, relative
-ROUGH = 0.1  # the same while numbers of impacts are compared
-WORTH = 0.2  # what more impacts have to bring, relative
-SMALLEST = 1e-4  # deviation that counts [m/s]
-FAMILIES = ((1, False), (2, True))  # pieces per leg, and whether areas may be reached between impacts
-
-
-@dataclass(frozen=True)
-class RobustTask:
-    """Hold what is asked of a plan that bears deviations.
-
-    Args:
-        scenario: one object, any number of robots.
-        demands: of the formula and of solid obstacles.
-        conditions: what a deviation refers to.
-        reserves: what the plan keeps in hand.
-        segments: number of segments of the paper's constant grid; None: times of impacts are free.
-        solver: of mixed-integer models.
-    """
-
-    scenario: FreeFlyerScenario
-    demands: Demands
-    conditions: Conditions
-    reserves: Reserves
-    segments: int | None = None
-    solver: str = "highs"
-
-    def build(self, shape: Shape, delta: float | None) -> HullGrid:
-        """Return the model of plans of a shape for a deviation [m/s], formula included.
-
-        Raises:
-            Infeasible: the variable bounds alone exclude every plan.
-        """
-        return self.build_choices(shape, delta)[0]
-
-    def build_choices(self, shape: Shape, delta: float | None) -> tuple[HullGrid, Choices]:
-        """Return the model, and what reads from its solutions how the formula holds in them."""
-        scenario, conditions, reserves = self.scenario, self.conditions, self.reserves
-        if self.segments is not None:
-            grid = build_zonotope_grid(scenario, self.segments, delta, conditions, reserves)
-        else:
-            assert delta is not None
-            grid = build_hull_grid(scenario, shape.impacts, delta, conditions, reserves, shape.pieces)
-        if not conditions.points:
-            add_side_rows(grid, scenario, reserves)
-        return grid, add_demands(grid, self.demands, scenario.control_period, shape.passing)
-
-
-@dataclass(frozen=True)
-class Shape:
-    """Hold the size of a grid.
-
-    Args:
-        impacts: number of impacts; of a constant grid, of boundaries.
-        pieces: number of pieces per leg.
-        passing: whether areas may be reached between impacts.
-    """
-
-    impacts: int
-    pieces: int = 1
-    passing: bool = False
 
 
 @dataclass(frozen=True)
@@ -90,24 +23,24 @@ class DeviationOptimum:
     """Hold the result of the search.
 
     Args:
-        shape: of the grid that bears most.
+        size: of the grid that bears most.
         delta: greatest deviation found [m/s].
         bound: proven upper bound of it, over the numbers of impacts tried [m/s].
     """
 
-    shape: Shape
+    size: GridSize
     delta: float
     bound: float
 
 
 def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) -> DeviationOptimum:
-    """Return the greatest deviation over numbers of impacts, where more impacts have to bring a fifth more.
+    """Return the greatest deviation over numbers of impacts; more impacts count only if they bear a fifth more.
 
-    What bears a deviation bears every smaller one, so one deviation proven infeasible bounds all above it.
-    Numbers of impacts are compared roughly, those beyond the first that serves in a quarter of the time limit;
-    then the best is bisected. The search ends early where a fifth more would exceed what no plan with any number of
-    impacts can bear: its last leg alone spreads the object by the gap times the deviation. On a constant grid the
-    deviation is a variable of one mixed-integer problem.
+    A plan for a deviation bears every smaller one, so one deviation that is proven infeasible bounds all above it.
+    Numbers of impacts are compared roughly; once one has a plan, the others share a quarter of the time limit. Then the
+    best is bisected. The search ends early where a fifth more would exceed what no plan with any number of impacts can
+    bear: its last leg alone spreads the object by the gap times the deviation. On a constant grid the deviation is a
+    variable of one mixed-integer problem.
 
     Args:
         task: what is asked.
@@ -118,68 +51,70 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
         The optimum.
 
     Raises:
-        Infeasible: proven that no deviation of `SMALLEST` is borne.
+        Infeasible: proven that not even the smallest deviation that counts is borne.
         SolverFailed: out of time.
     """
-    start = time.perf_counter()
+    start, options = time.perf_counter(), task.options.deviation
     if task.segments is not None:
         return _solve_grid(task, task.segments, time_limit)
     ceiling = compute_ceiling(task)
-    for pieces, passing in FAMILIES:
+    for pieces, passing in options.families:
         best: DeviationOptimum | None = None
-        bounds: dict[Shape, float] = {}
+        bounds: dict[GridSize, float] = {}
         for impacts in range(1, max_impacts + 1):
-            shape, wanted = Shape(impacts, pieces, passing), best.delta * (1.0 + WORTH) if best else 0.0
+            size, wanted = GridSize(impacts, pieces, passing), best.delta * (1.0 + options.worth) if best else 0.0
             if wanted >= ceiling:
                 break
             left = (0.25 if best else 1.0) * time_limit - (time.perf_counter() - start)
             try:
-                delta, bounds[shape] = search_deviation(task, shape, wanted, ceiling, ROUGH, left)
+                delta, bounds[size] = search_deviation(task, size, wanted, ceiling, options.rough_gap, left)
             except SolverFailed:
                 if best is None:
                     raise
                 break
             if delta > wanted:
-                best = DeviationOptimum(shape, delta, bounds[shape])
+                best = DeviationOptimum(size, delta, bounds[size])
         if best is not None:
             left = time_limit - (time.perf_counter() - start)
             with suppress(SolverFailed):
-                delta, bounds[best.shape] = search_deviation(task, best.shape, best.delta, best.bound, TOLERANCE, left)
-                best = DeviationOptimum(best.shape, delta, bounds[best.shape])
+                delta, bound = search_deviation(task, best.size, best.delta, best.bound, options.gap, left)
+                bounds[best.size] = bound
+                best = DeviationOptimum(best.size, delta, bound)
             return replace(best, bound=max(bounds.values()))
-    status = f"proven that no plan with up to {max_impacts} impacts bears a deviation of {SMALLEST:g} m/s"
+    status = f"proven that no plan with up to {max_impacts} impacts bears a deviation of {options.smallest:g} m/s"
     raise Infeasible(f"plan of {task.scenario.name}", status, "allow more impacts or time, or relax the formula")
 
 
 def search_deviation(
-    task: RobustTask, shape: Shape, known: float, high: float, tolerance: float, time_limit: float
+    task: RobustTask, size: GridSize, known: float, high: float, gap: float, time_limit: float
 ) -> tuple[float, float]:
-    """Return the greatest deviation of one shape and its proven bound, by bisection.
+    """Return the greatest deviation of one size of grid and its proven bound, by bisection.
 
-    Where a number is feasible, the integers found are kept and the best deviation for them is bisected in
-    linear problems. Numbers just above the best known and halfway to the bound take turns: the first end the
-    search once they are infeasible.
+    If a deviation is feasible, its integers are fixed and the best deviation for them is bisected in linear problems.
+    Deviations just above the best known one and halfway to the bound take turns: the search ends when one of the first
+    kind is infeasible.
 
     Args:
         task: what is asked.
-        shape: of the grid.
-        known: deviation beyond which to look [m/s].
+        size: of the grid.
+        known: deviation to exceed [m/s].
         high: known upper bound [m/s].
-        tolerance: relative.
+        gap: to which the deviation is proven, relative.
         time_limit: wall time [s].
 
     Returns:
-        The deviation, `known` if the shape brings nothing, and its bound [m/s].
+        The deviation, which is `known` if the size bears no more, and its bound [m/s].
 
     Raises:
         SolverFailed: out of time before anything was found.
     """
     start = time.perf_counter()
     low, near = known, True
-    target = min(known * (1.0 + TOLERANCE) or SMALLEST, high)
+    options = task.options.deviation
+    target = min(known * (1.0 + options.gap) or options.smallest, high)
     while True:
         try:
-            grid = task.build(shape, target)
+            grid, _ = task.build(size, target)
             x = solve(grid.model, time_limit - (time.perf_counter() - start), solver=task.solver).x
         except Infeasible:
             high = target
@@ -188,19 +123,19 @@ def search_deviation(
                 raise
             return low, high
         else:
-            low = _improve(task, shape, x, target, high, tolerance)
-        if low == 0.0 or high <= low * (1.0 + tolerance) + 1e-12:
+            low = _improve(task, size, x, target, high, gap)
+        if low == 0.0 or high <= low * (1.0 + gap) + 1e-12:
             return low, high
         near = not near
-        target = min(low * (1.0 + tolerance), high) if near else 0.5 * (low + high)
+        target = min(low * (1.0 + gap), high) if near else 0.5 * (low + high)
 
 
-def _improve(task: RobustTask, shape: Shape, x: np.ndarray, low: float, high: float, tolerance: float) -> float:
-    """Return the greatest deviation, up to half the tolerance, that the same integers bear."""
-    while high - low > 0.5 * tolerance * low:
+def _improve(task: RobustTask, size: GridSize, x: np.ndarray, low: float, high: float, gap: float) -> float:
+    """Return the greatest deviation, to half the gap, that the same integers bear."""
+    while high - low > 0.5 * gap * low:
         middle = 0.5 * (low + high)
         try:
-            solve(_fix_integers(task.build(shape, middle).model, x), np.inf, solver=task.solver)
+            solve(_fix_integers(task.build(size, middle)[0].model, x), np.inf, solver=task.solver)
             low = middle
         except Infeasible:
             high = middle
@@ -217,8 +152,8 @@ def _fix_integers(model: Model, x: np.ndarray) -> Model:
 def compute_ceiling(task: RobustTask) -> float:
     """Return a deviation that no plan with any number of impacts can exceed.
 
-    After the last impact the object spreads by gap times the deviation at least, and its velocity by the
-    deviation.
+    After the last impact the deviation spreads the place of the object by at least the gap times itself, and its
+    velocity by itself.
 
     Args:
         task: what is asked.
@@ -240,7 +175,7 @@ def compute_ceiling(task: RobustTask) -> float:
 
 
 def _list_last_stays(demands: Demands, name: str, horizon: float) -> Iterator[Requirement]:
-    """Return the areas that conjuncts of the formula hold an object in at the horizon."""
+    """Yield the areas in which the formula holds an object at the horizon."""
     for formula in demands.conjuncts.values():
         parts = [(formula, 0.0)]
         while parts:
@@ -256,8 +191,8 @@ def _list_last_stays(demands: Demands, name: str, horizon: float) -> Iterator[Re
 
 
 def _solve_grid(task: RobustTask, segments: int, time_limit: float) -> DeviationOptimum:
-    shape = Shape(segments - 1)
-    grid = task.build(shape, None)
+    size = GridSize(segments - 1)
+    grid, _ = task.build(size, None)
     solution = solve(grid.model, time_limit, solver=task.solver)
     delta = float(evaluate(grid.delta, solution.x))
-    return DeviationOptimum(shape, delta, max(delta, -solution.bound))
+    return DeviationOptimum(size, delta, max(delta, -solution.bound))

@@ -1,6 +1,6 @@
-"""Closed-loop check of a robust plan: random deviations at every impact, robots that answer where the object is.
+"""Closed-loop check of a robust plan: random deviations at every impact, robots that respond to the object's place.
 
-The object moves by the impact law alone: from where the robot is and how fast, not from what was wanted.
+The object moves by the impact law alone: by where the robot is and how fast, not by what was wanted.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class Runs:
         positions: of the object at impacts and at the horizon, shape (n, K+1, 2) [m].
         velocities: of the object after every impact, shape (n, K, 2) [m/s].
         robots: robot to its control points, shape (n, S, 6, 2) [m].
-        law: by how much robots' velocities after impacts differ from momentum and deviation, at most [m/s].
-        contact: by how much bodies miss each other at impacts, at most [m].
+        law: greatest difference of robots' velocities after impacts from momentum and deviation [m/s].
+        contact: greatest distance by which bodies miss each other at impacts [m].
     """
 
     positions: np.ndarray
@@ -90,12 +90,12 @@ def simulate_runs(responses: Responses, starts: np.ndarray, deviations: np.ndarr
 def _hit(
     responses: Responses, k: int, positions: np.ndarray, velocity: np.ndarray, deviations: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return how impact k changes the object's velocity, shape (n, 2), and how far the robot's side of it is off."""
+    """Return how impact k changes the object's velocity, shape (n, 2), and the errors of the robot, see `Runs`."""
     scenario, sequence, name = responses.scenario, responses.sequence, responses.sequence.hitters[k - 1]
     robot, body, e = scenario.robots[name], scenario.objects[sequence.object], scenario.believed.restitution
     recoils = -deviations * _recoil_share(responses, name)
     points = follow_responses(responses, name, positions, recoils)
-    event = next(window.event for window in responses.windows[name] if window.impact == k)
+    event = next(one.event for one in responses.intervals[name] if one.impact == k)
     steps = np.diff(responses.times)[event - 1 : event + 1]
     place = points[:, event - 1, -1]
     before = DEGREE * (place - points[:, event - 1, -2]) / steps[0]
@@ -111,7 +111,7 @@ def _hit(
 
 
 def _recoil_share(responses: Responses, robot: str) -> float:
-    """Return m_O / m_R, by which a robot's velocity deviates against the object's; nought for points."""
+    """Return m_O / m_R, the share by which a robot's velocity deviates opposite to the object's; zero for points."""
     scenario, sequence = responses.scenario, responses.sequence
     return 0.0 if sequence.points else scenario.objects[sequence.object].mass / scenario.robots[robot].mass
 
@@ -128,7 +128,7 @@ def check_responses(responses: Responses, margin: float, runs: int, seed: int, s
         margin: robustness promised in every run [m].
         runs: number of runs; the deviations of half of them are at the vertices.
         seed: of the randomness.
-        samples: number of equal steps to the horizon at which distances and the formula are looked at.
+        samples: number of equal steps to the horizon, at which distances and the formula are checked.
 
     Returns:
         The least robustness of all runs [m].

@@ -13,24 +13,18 @@ from planners.budget import Budget
 from planners.errors import Infeasible, PlanningError
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.robust.box_grid import Conditions
-from planners.free_flyer.robust.box_sequence import HullSequence, compute_arrival, compute_contacts
-from planners.free_flyer.robust.deviation_search import DeviationOptimum, RobustTask, maximise_deviation
-from planners.free_flyer.robust.effort import RobustEvents, minimise_robust_effort
+from planners.free_flyer.robust.box_sequence import BoxSequence, compute_arrival, compute_contacts
+from planners.free_flyer.robust.deviation_search import DeviationOptimum, maximise_deviation
+from planners.free_flyer.robust.least_cost import RobustEvents, minimise_robust_cost
 from planners.free_flyer.robust.monte_carlo import check_responses
 from planners.free_flyer.robust.response import Responses, follow_responses
 from planners.free_flyer.robust.response_smoothing import make_responses
+from planners.free_flyer.robust.task import RobustOptions, RobustTask
 from planners.free_flyer.specification.requirement import read_demands
 from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
 from planners.free_flyer.validation import SUBSTEPS, compute_robustness
 from planners.plan import Plan, PlannedImpact
 from planners.solvers import check_solver
-
-HALVINGS = 2  # of the reserves, where a task leaves no room for them
-# By what legs are slower to start and stop, and room beyond contact points to come to a halt in [m], when motions
-# prove too quick to be smoothed.
-CALMER = ((1.0, 0.0), (1.25, 0.05), (1.5, 0.1))
-MORE_WORDS = 2  # other sequences of hitting robots that are tried then
-SHARES = (1.0, 0.75, 0.5)  # of the share of the deviation, where no motions bear it
 
 
 def make_impact_robust_plan(
@@ -40,48 +34,34 @@ def make_impact_robust_plan(
     time_limit: float = 60.0,
     solver: str = "highs",
     time_grid: int | None = None,
-    share: float = 0.8,
-    gap: float | None = None,
-    final_velocity: float | None = None,
-    initial: tuple[float, float] | None = None,
-    margin: float = 0.0,
-    points: bool = False,
-    runs: int = 200,
-    seed: int = 0,
+    conditions: Conditions | None = None,
     reserves: Reserves = Reserves(),  # noqa: B008 - frozen
+    options: RobustOptions = RobustOptions(),  # noqa: B008 - frozen
 ) -> Plan:
-    r"""Plan by lexicographic optimisation: permissible deviation, then effort at a share of it, smooth and check.
+    r"""Plan by lexicographic optimisation: permissible deviation, then path cost at a share of it, smooth and check.
 
-    The deviation delta is the greatest such that, with robots that know where the object is and how fast once it
-    has been hit, the task succeeds whatever is added to the object's velocity after each impact, up to delta per
-    axis. Between impacts the object's boxes grow by delta times the time; robots hit it towards the next box from
-    wherever in the box it is. `deviation_bound` is proven for plans of this family: boxes per axis, velocities
-    wanted that are affine in the position, legs of robots within the reserves, every robot on one side of the
-    object throughout, at least one and at most `max_impacts` impacts (fewer if a quarter of the time limit ended
-    the search). Where it equals what the last leg alone allows, it holds for any number of impacts.
+    Up to delta per axis is added to the object's velocity after each impact, and the robots learn its position and
+    velocity once it has been hit. The permissible deviation is the greatest delta for which the task still succeeds.
+    Between impacts the object's boxes grow by delta times the time; from any place in its box, robots hit it towards
+    the next box. `deviation_bound` is proven for plans of this family: boxes per axis, wanted velocities that are
+    affine in the position, legs of robots within the reserves, every robot on one side of the object throughout, at
+    least one and at most `max_impacts` impacts (fewer if a quarter of the time limit ended the search). Where it equals
+    what the last leg alone allows, it holds for any number of impacts.
 
-    Robots are discs: contact points, clearances, the robot's own deviation by momentum and the room to come to a
-    halt are part of the plan; limits hold on control points of the four curves of every robot, and the
-    simulation of the closed loop confirms them in between. With `points` bodies have no extent, as in the paper:
-    robots may pass through the object, and only the object's velocity deviates.
+    Robots are discs: contact points, clearances, the robot's own deviation by momentum and the room to come to a halt
+    are part of the plan. Limits hold on control points of the four curves of every robot; the simulation of the closed
+    loop confirms them in between. With `Conditions.points` bodies have no extent, as in the paper: robots may pass
+    through the object, and only the object's velocity deviates.
 
     Args:
         scenario: one disc object and any number of robots; only believed physics are read.
         max_impacts: greatest number of impacts tried.
         time_limit: wall time for all stages [s].
         solver: of mixed-integer models, a key of `planners.solvers.SOLVERS`.
-        time_grid: number of segments of the paper's constant grid, on which boxes are taken anew at every boundary;
-            implies `points`.
-        share: of the greatest deviation that the plan is made for; three quarters and half of it
-            are tried where motions fail.
-        gap: least time between impacts and after the last one; None: that of the scenario, or of the reserves [s].
-        final_velocity: greatest speed per axis at the horizon of an object that rests; None: the scenario's [m/s].
-        initial: half widths of the box the object starts in; None: the scenario's [m].
-        margin: robustness kept by the boxes and promised in every run [m].
-        points: plan for bodies without extent.
-        runs: simulated runs of the closed loop.
-        seed: of their randomness.
+        time_grid: number of segments of the paper's constant grid, with new boxes at every boundary; implies points.
+        conditions: what a deviation refers to; default: `make_conditions`.
         reserves: speed, time and distance kept in hand for the execution.
+        options: how far the plan is improved, and how it is checked.
 
     Returns:
         A plan that the simulation of the closed loop has confirmed.
@@ -93,21 +73,20 @@ def make_impact_robust_plan(
 
     Source: Verhagen & Tumova, Sec. IV-C, Eqs. (16)-(20), with continuous times.
     """
-    _check_arguments(scenario, max_impacts, time_limit, time_grid, share, runs)
-    points = points or time_grid is not None
-    scenario = _shrink(scenario) if points else scenario
+    _check_arguments(scenario, max_impacts, time_limit, time_grid, options)
     check_solver(solver)
-    budget = Budget(time_limit, solver)
-    body = next(iter(scenario.objects.values()))
-    if gap is None:
-        gap = scenario.impact_gap or reserves.times(scenario.horizon)[1]
-    final_velocity = body.final_speed if final_velocity is None else final_velocity
-    initial = body.start_uncertainty if initial is None else initial
-    conditions = Conditions(gap, final_velocity, initial, margin, points, gather=not points)
+    if conditions is None:
+        conditions = make_conditions(scenario, reserves)
+    if time_grid is not None:
+        conditions = replace(conditions, points=True)
+    if conditions.points:
+        conditions, scenario = replace(conditions, gather=False), _shrink(scenario)
+    budget = Budget(time_limit)
     _check_conditions(scenario, conditions)
     _check_formula(scenario, reserves)
-    for last in [False] * HALVINGS + [True]:
-        task = RobustTask(scenario, read_demands(scenario, reserves.wall), conditions, reserves, time_grid, solver)
+    demands = read_demands(scenario, reserves.wall)
+    task = RobustTask(scenario, demands, conditions, reserves, time_grid, solver, options)
+    for last in [False] * options.halvings + [True]:
         try:
             with budget.stage("deviation"):
                 optimum = maximise_deviation(task, max_impacts, time_limit - budget.elapsed)
@@ -115,50 +94,63 @@ def make_impact_robust_plan(
         except Infeasible:
             if last:
                 raise
-            reserves = reserves.halved()
-    return _plan_responses(task, optimum, share, runs, seed, budget)
+            task = replace(task, reserves=task.reserves.halved())
+    return _plan_responses(task, optimum, budget)
 
 
-def _plan_responses(
-    task: RobustTask, optimum: DeviationOptimum, share: float, runs: int, seed: int, budget: Budget
-) -> Plan:
+def make_conditions(
+    scenario: FreeFlyerScenario,
+    reserves: Reserves = Reserves(),  # noqa: B008 - frozen
+) -> Conditions:
+    """Return what a deviation refers to in a scenario; change it by `dataclasses.replace`.
+
+    Args:
+        scenario: of one object; says gap, final velocity and the box in which the object starts.
+        reserves: give the gap where the scenario does not.
+    """
+    body = next(iter(scenario.objects.values()))
+    gap = scenario.impact_gap or reserves.times(scenario.horizon)[1]
+    return Conditions(gap, body.final_speed, body.start_uncertainty)
+
+
+def _plan_responses(task: RobustTask, optimum: DeviationOptimum, budget: Budget) -> Plan:
     """Try calmer and calmer plans, then other sequences of robots, until one can be smoothed and passes the check."""
     failure: PlanningError | None = None
-    for less in SHARES:
+    options = task.options
+    for less in options.smaller_shares:
         failed: list[tuple[str, ...]] = []
-        # Robots on a constant grid turn in no time, as in the paper: nothing makes them calmer.
-        same = CALMER if task.segments is None else CALMER[:1]
-        for number, (slower, room) in enumerate((*same, *CALMER[:MORE_WORDS])):
-            calm = _calm(task, slower, room)
+        # On a constant grid robots turn in no time, as in the paper, so no plan is calmer.
+        same = options.calmer if task.segments is None else options.calmer[:1]
+        for number, (slower, room) in enumerate((*same, *options.calmer[: options.more_words])):
+            calm = _make_calmer(task, slower, room)
             forbidden = failed if number >= len(same) else []
-            delta, left = less * share * optimum.delta, budget.limit - budget.elapsed
+            delta, left = less * options.share * optimum.delta, budget.limit - budget.elapsed
             try:
                 with budget.stage("effort"):
-                    events = minimise_robust_effort(calm, optimum.shape, delta, forbidden, 0.2 * left)
+                    events = minimise_robust_cost(calm, optimum.size, delta, forbidden, 0.2 * left)
                 failed.append(events.word)
-                return _finish(task, optimum, events, runs, seed, budget)
+                return _finish(task, optimum, events, budget)
             except PlanningError as error:
                 failure = failure or error
     assert failure is not None
     raise failure
 
 
-def _calm(task: RobustTask, slower: float, room: float) -> RobustTask:
+def _make_calmer(task: RobustTask, slower: float, room: float) -> RobustTask:
     reserves = replace(task.reserves, turn=slower * task.reserves.turn, thrust=task.reserves.thrust / slower)
     return replace(task, conditions=replace(task.conditions, room=room, gather=True), reserves=reserves)
 
 
-def _finish(
-    task: RobustTask, optimum: DeviationOptimum, events: RobustEvents, runs: int, seed: int, budget: Budget
-) -> Plan:
-    scenario, sequence, margin = task.scenario, events.sequence, task.conditions.margin
+def _finish(task: RobustTask, optimum: DeviationOptimum, events: RobustEvents, budget: Budget) -> Plan:
+    """Smooth the motions, check them by simulation, and store in the plan what the simulation measured."""
+    scenario, sequence, margin, options = task.scenario, events.sequence, task.conditions.margin, task.options
     with budget.stage("smoothing"):
-        responses = make_responses(scenario, sequence, events.needs, margin, task.reserves)
+        responses = make_responses(scenario, sequence, events.needs, margin, task.reserves, options.response)
     with budget.stage("validation"):
         # Impacts fall on samples: on control steps, or on boundaries of the constant grid.
         segments = task.segments or 1
         samples = segments * int(np.ceil(scenario.horizon / segments / scenario.control_period - 1e-9))
-        check_responses(responses, margin, runs, seed, samples)
+        check_responses(responses, margin, options.runs, options.seed, samples)
         robots, objects = _make_nominal(responses)
         times = np.linspace(0.0, scenario.horizon, samples * SUBSTEPS + 1)
         positions = {name: curve.position(times) for name, curve in (robots | objects).items()}
@@ -171,7 +163,7 @@ def _finish(
         robustness=rho,
         bound=bound,
         gap=(bound - rho) / max(1.0, abs(bound)),
-        effort=events.effort,
+        effort=events.cost,
         effort_bound=events.bound,
         impacts=_make_impacts(scenario, sequence),
         robots=robots,
@@ -197,7 +189,7 @@ def _make_nominal(responses: Responses) -> tuple[dict[str, Curve], dict[str, Cur
     return robots, {sequence.object: Curve(sequence.times, np.stack([path[:-1], path[1:]], axis=1))}
 
 
-def _make_impacts(scenario: FreeFlyerScenario, sequence: HullSequence) -> tuple[PlannedImpact, ...]:
+def _make_impacts(scenario: FreeFlyerScenario, sequence: BoxSequence) -> tuple[PlannedImpact, ...]:
     impacts = []
     for k, name in enumerate(sequence.hitters, start=1):
         position = sequence.centers[k]
@@ -230,7 +222,7 @@ def _shrink(scenario: FreeFlyerScenario) -> FreeFlyerScenario:
 
 
 def _check_arguments(
-    scenario: FreeFlyerScenario, max_impacts: int, time_limit: float, time_grid: int | None, share: float, runs: int
+    scenario: FreeFlyerScenario, max_impacts: int, time_limit: float, time_grid: int | None, options: RobustOptions
 ) -> None:
     if len(scenario.objects) != 1:
         raise InputError(f"{scenario.name}: this objective takes one object, got {len(scenario.objects)}")
@@ -245,10 +237,10 @@ def _check_arguments(
         raise InputError(f"time_limit is {time_limit} s, it must be positive")
     if time_grid is not None and time_grid < 2:
         raise InputError(f"time_grid is {time_grid}, it must be at least 2 segments")
-    if not 0.0 < share <= 1.0:
-        raise InputError(f"share is {share}, it must be above 0 and at most 1")
-    if runs < 1:
-        raise InputError(f"runs is {runs}, it must be at least 1")
+    if not 0.0 < options.share <= 1.0:
+        raise InputError(f"share is {options.share}, it must be above 0 and at most 1")
+    if options.runs < 1:
+        raise InputError(f"runs is {options.runs}, it must be at least 1")
 
 
 def _check_formula(scenario: FreeFlyerScenario, reserves: Reserves) -> None:

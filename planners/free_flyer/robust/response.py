@@ -1,7 +1,7 @@
-"""What robots do about where the object is: curves for the vertices of its boxes, and their interpolation.
+"""How robots respond to the place of the object: curves for the vertices of its boxes, and their interpolation.
 
-For its next impact every robot has four curves, one per vertex of the box the object will be in. They are one
-and the same until the object's previous impact has shown where it will be, and meet again before the box of the
+For its next impact every robot has four curves, one per vertex of the box in which the object will be. The curves are
+the same until the object's previous impact has shown where it will be, and they meet again before the box of the
 robot's next impact becomes known. The robot follows their interpolation at the position of the object.
 """
 
@@ -16,26 +16,26 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
 from planners.free_flyer.robust.box_sequence import (
     VERTICES,
-    HullSequence,
+    BoxSequence,
     compute_arrival,
     compute_contacts,
     compute_vertices,
 )
 
-SETTLE = 10.0  # longest time a robot takes to leave, or to return to, its responses round an impact [s]
+SAME_TIME = 1e-6  # differences of times that count as none [s]
 
 
 @dataclass(frozen=True)
-class Window:
-    """Hold when a robot answers an impact of its own.
+class ResponseInterval:
+    """Hold when a robot responds to an impact of its own.
 
     Args:
         impact: its number k, from 1.
-        start: from when the box of this impact decides [s].
-        end: until when [s].
-        before: breakpoint from which the robot departs from its responses to meet the object exactly.
+        start: from then on the place in the box of this impact decides what the robot does [s].
+        end: until then [s].
+        before: breakpoint at which the robot leaves its responses to meet the object exactly.
         event: breakpoint of the impact.
-        after: breakpoint at which it is back.
+        after: breakpoint at which it is back on them.
     """
 
     impact: int
@@ -54,14 +54,14 @@ class Responses:
         scenario: what was planned.
         sequence: the impacts.
         times: breakpoints of all curves, shape (S+1,) [s].
-        windows: robot to its own impacts.
+        intervals: robot to those of its own impacts.
         points: robot to the control points for the vertices, shape (4, S, 6, 2) [m].
     """
 
     scenario: FreeFlyerScenario
-    sequence: HullSequence
+    sequence: BoxSequence
     times: np.ndarray
-    windows: dict[str, tuple[Window, ...]]
+    intervals: dict[str, tuple[ResponseInterval, ...]]
     points: dict[str, np.ndarray]
 
     def curves(self, robot: str) -> tuple[Curve, ...]:
@@ -78,37 +78,40 @@ def make_breakpoints(events: np.ndarray) -> np.ndarray:
     return np.array(times)
 
 
-def make_windows(sequence: HullSequence, times: np.ndarray, robot: str) -> tuple[Window, ...]:
-    """Return when a robot answers its impacts.
+def make_intervals(sequence: BoxSequence, times: np.ndarray, robot: str, settle: float) -> tuple[ResponseInterval, ...]:
+    """Return when a robot responds to its impacts.
 
-    The box of an impact decides from the object's previous impact on; if that is the robot's own, the four
-    curves meet halfway first. Exact contact is prepared for as soon as it is known where it will be.
+    The box of an impact decides from the object's previous impact on; if that is the robot's own, the four curves first
+    meet halfway. The robot prepares for exact contact as soon as its place is known.
 
     Args:
         sequence: the impacts.
         times: breakpoints of the curves, shape (S+1,) [s].
         robot: its name.
+        settle: longest time it takes to leave its responses, or to return to them [s].
     """
     own = [k for k, name in enumerate(sequence.hitters, start=1) if name == robot]
     starts = [float(np.mean(sequence.times[k - 1 : k + 1]) if k - 1 in own else sequence.times[k - 1]) for k in own]
     ends = [*starts, float(sequence.times[-1])][1:]
     back = [*(sequence.times[k] for k in own), float(sequence.times[-1])][1:]
-    windows = []
+    intervals = []
     for k, start, end, latest in zip(own, starts, ends, back, strict=True):
         event = int(np.abs(times - sequence.times[k]).argmin())
-        free = (times > sequence.times[k - 1] - 1e-6) & (times < latest + 1e-6)
-        near = np.flatnonzero(free & (np.abs(times - times[event]) <= SETTLE))
-        windows.append(Window(k, start, end, int(min(near[0], event - 1)), event, int(max(near[-1], event + 1))))
-    return tuple(windows)
+        free = (times > sequence.times[k - 1] - SAME_TIME) & (times < latest + SAME_TIME)
+        near = np.flatnonzero(free & (np.abs(times - times[event]) <= settle))
+        intervals.append(
+            ResponseInterval(k, start, end, int(min(near[0], event - 1)), event, int(max(near[-1], event + 1)))
+        )
+    return tuple(intervals)
 
 
 def compute_amplitudes(
-    scenario: FreeFlyerScenario, sequence: HullSequence, k: int
+    scenario: FreeFlyerScenario, sequence: BoxSequence, k: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return by how much a robot leaves the interpolation of its responses to meet the object exactly.
+    """Return how far a robot leaves the interpolation of its responses to meet the object exactly.
 
-    Taken over ends and middles of the previous box and of the deviation since; the robot's own deviation, by
-    momentum m_O / m_R delta, comes on top after the impact.
+    The greatest values over ends and middles of the previous box, and of the deviation since then. After the impact the
+    robot's own deviation is added: m_O / m_R delta, by momentum.
 
     Args:
         scenario: masses and radii.
@@ -134,9 +137,9 @@ def compute_amplitudes(
 
 
 def compute_mismatch(
-    scenario: FreeFlyerScenario, sequence: HullSequence, k: int, position: np.ndarray, previous: np.ndarray
+    scenario: FreeFlyerScenario, sequence: BoxSequence, k: int, position: np.ndarray, previous: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return exact contact less interpolated vertices: position, velocity before and after, each shape (n, 2).
+    """Return exact contact minus the interpolated vertices: position, velocity before and after, each shape (n, 2).
 
     Args:
         scenario: masses and radii.
@@ -154,8 +157,8 @@ def compute_mismatch(
     return first, second, third
 
 
-def compute_weights(sequence: HullSequence, k: int, position: np.ndarray) -> np.ndarray:
-    """Return the shares of the four vertices in a position of the object at impact k, shape (n, 4).
+def compute_weights(sequence: BoxSequence, k: int, position: np.ndarray) -> np.ndarray:
+    """Return the weights of the four vertices in positions of the object at impact k, shape (n, 4).
 
     Args:
         sequence: tight impacts.
@@ -168,12 +171,12 @@ def compute_weights(sequence: HullSequence, k: int, position: np.ndarray) -> np.
 
 
 def compute_returns(times: np.ndarray, rest: int, event: int) -> np.ndarray:
-    """Return two quintics that are nought, at rest, at one breakpoint: one is 1, the other has slope 1 at another.
+    """Return two quintic basis functions, zero to second order at `rest`; at `event` one is 1, the other has slope 1.
 
     Args:
         times: breakpoints, shape (S+1,) [s].
-        rest: breakpoint where both are nought.
-        event: breakpoint, before or after it, where they are not.
+        rest: breakpoint where value, slope and curvature of both are zero.
+        event: breakpoint before or after it.
 
     Returns:
         Control points on the segments between, in the order of time, shape (2, n, 6) [1, s].
@@ -199,8 +202,8 @@ def compute_returns(times: np.ndarray, rest: int, event: int) -> np.ndarray:
 def follow_responses(responses: Responses, robot: str, positions: np.ndarray, recoils: np.ndarray) -> np.ndarray:
     """Return how a robot moves, given where the object is at its impacts.
 
-    Within each window it follows the interpolation of its four curves at the object's position; near the impact
-    it departs by a quintic to meet the object exactly, and returns by another, its own deviation included.
+    During each interval it follows the interpolation of its four curves at the object's position; near the impact it
+    leaves it by a quintic to meet the object exactly, and returns by another one, which takes in its own deviation.
 
     Args:
         responses: of all robots.
@@ -213,15 +216,15 @@ def follow_responses(responses: Responses, robot: str, positions: np.ndarray, re
     """
     times, vertices, sequence = responses.times, responses.points[robot], responses.sequence
     found = np.repeat(vertices[:1], len(positions), axis=0)
-    for window in responses.windows[robot]:
-        k = window.impact
+    for interval in responses.intervals[robot]:
+        k = interval.impact
         position, previous = positions[:, k - 1], positions[:, max(k - 2, 0)]
         weights = compute_weights(sequence, k, position)
-        inside = (times[:-1] > window.start - 1e-6) & (times[1:] < window.end + 1e-6)
+        inside = (times[:-1] > interval.start - SAME_TIME) & (times[1:] < interval.end + SAME_TIME)
         found[:, inside] = np.einsum("nv,vsbd->nsbd", weights, vertices[:, inside])
         off, before, after = compute_mismatch(responses.scenario, sequence, k, position, previous)
-        for rest, turn in ((window.before, before), (window.after, after + recoils[:, k - 1])):
-            step, slope = compute_returns(times, rest, window.event)[..., None]
-            part = slice(*sorted((rest, window.event)))
+        for rest, turn in ((interval.before, before), (interval.after, after + recoils[:, k - 1])):
+            step, slope = compute_returns(times, rest, interval.event)[..., None]
+            part = slice(*sorted((rest, interval.event)))
             found[:, part] += step * off[:, None, None] + slope * turn[:, None, None]
     return found

@@ -13,53 +13,52 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.cones import solve_clarabel
 from planners.errors import Infeasible
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.robust.box_sequence import VERTICES, HullSequence, compute_vertices
+from planners.free_flyer.robust.box_sequence import VERTICES, BoxSequence, compute_vertices
 from planners.free_flyer.robust.response import (
+    ResponseInterval,
     Responses,
-    Window,
     compute_amplitudes,
     compute_returns,
     make_breakpoints,
-    make_windows,
+    make_intervals,
 )
+from planners.free_flyer.robust.task import ResponseOptions
 from planners.free_flyer.specification.direction import DIRECTIONS
 from planners.free_flyer.specification.requirement import Requirement
-from planners.quintic_spline import DEGREE, Node, QuinticSpline, build_quintic_spline
-from planners.spline_rows import SplineRows
+from planners.quintic_spline import DEGREE, Breakpoint, QuinticSpline, build_quintic_spline
+from planners.spline_rows import SplineRows, find_sides
 
-JERK_WEIGHT = 1.0  # [s^2]
-GROWTH = 0.03  # how fast robot and object must part after, and may near before, their own impact [m/s]
-SLACK_WEIGHT = 1e3
-ROUNDS = 5
-NEAR = 1.0  # robots farther apart than this beyond their clearance need no rows [m]
+TOLERANCE = 1e-6  # by which areas, walls and half the clearance may be violated [m]
+COST_SCALE = 25.0  # accelerations are some 0.02 m/s^2
 
 
 @dataclass(frozen=True)
 class _Problem:
     scenario: FreeFlyerScenario
-    sequence: HullSequence
+    sequence: BoxSequence
     needs: tuple[Requirement, ...]
     margin: float
     reserves: Reserves
+    options: ResponseOptions
     times: np.ndarray
     moments: np.ndarray  # of the control points, shape (S, 6)
-    windows: dict[str, tuple[Window, ...]]
+    intervals: dict[str, tuple[ResponseInterval, ...]]
     splines: dict[str, QuinticSpline]
 
 
 def make_responses(
     scenario: FreeFlyerScenario,
-    sequence: HullSequence,
+    sequence: BoxSequence,
     needs: tuple[Requirement, ...],
     margin: float,
     reserves: Reserves,
+    options: ResponseOptions,
 ) -> Responses:
     r"""Return the curves of all robots for all vertices: the sum of int |a|^2 + w |j|^2 dt is least.
 
-    One QP for all robots and vertices. Curves share the states of their breakpoints where they have to be one,
-    so causality holds exactly. Limits of speed and acceleration hold on control points, less what the robot
-    needs to meet the object exactly and to settle after its own deviation. Which side of a body to stay on
-    is taken from the previous round.
+    One QP for all robots and vertices. Where curves have to be the same they share the states of their breakpoints, so
+    causality holds exactly. Limits of speed and acceleration hold on control points, less what the robot needs to meet
+    the object exactly and to settle after its own deviation. The sides of bodies are taken from the previous round.
 
     Args:
         scenario: limits, radii, starts and goals.
@@ -67,6 +66,7 @@ def make_responses(
         needs: requirements of the formula and of solid obstacles.
         margin: robustness to keep in them [m].
         reserves: clearances and thrust.
+        options: weights and number of rounds.
 
     Returns:
         The responses.
@@ -74,16 +74,17 @@ def make_responses(
     Raises:
         Infeasible: some limit, distance or area cannot be kept.
     """
-    problem = _build_problem(scenario, sequence, needs, margin, reserves)
+    problem = _build_problem(scenario, sequence, needs, margin, reserves, options)
     points = {robot: np.stack([_interpolate_knots(problem, robot, i) for i in range(4)]) for robot in scenario.robots}
-    # Walls and clearance are reserves that may be spent; the simulation of the closed loop knows what must not.
-    allowed = {"area": 1e-6, "wall": reserves.wall + 1e-6, "clearance": 0.5 * reserves.clearance + 1e-6}
+    # Walls and half the clearance are reserves that may be spent; the simulation knows what bodies really need.
+    spent = {"area": 0.0, "wall": reserves.wall, "clearance": 0.5 * reserves.clearance}
+    allowed = {kind: reserve + TOLERANCE for kind, reserve in spent.items()}
     short = np.inf
-    for _ in range(ROUNDS):
+    for _ in range(options.smoothing.rounds):
         before = short
         points, worst = _solve_round(problem, points)
         short = max(worst[kind] - limit for kind, limit in allowed.items())
-        # Rounds serve until the sides they are given are the ones that they find, or nothing improves.
+        # Stop once a round finds the sides that it was given, or nothing improves.
         settled = short <= 0.0 and (before <= 0.0 or sequence.points)
         if settled or 0.0 < 0.9 * before < short:
             break
@@ -91,47 +92,48 @@ def make_responses(
         if worst[kind] > limit:
             status = f"{kind} rows are {worst[kind]:.3g} m short"
             raise Infeasible("responses", status, "allow a longer gap, more thrust or a longer horizon")
-    return Responses(scenario, sequence, problem.times, problem.windows, points)
+    return Responses(scenario, sequence, problem.times, problem.intervals, points)
 
 
 def _build_problem(
     scenario: FreeFlyerScenario,
-    sequence: HullSequence,
+    sequence: BoxSequence,
     needs: tuple[Requirement, ...],
     margin: float,
     reserves: Reserves,
+    options: ResponseOptions,
 ) -> _Problem:
     times = make_breakpoints(sequence.times)
     splines = {}
     for robot, i in itertools.product(scenario.robots, range(4)):
         splines[_key(robot, i)] = _make_spline(scenario, sequence, times, robot, i)
     moments = next(iter(splines.values())).greville().reshape(-1, DEGREE + 1)
-    windows = {robot: make_windows(sequence, times, robot) for robot in scenario.robots}
-    return _Problem(scenario, sequence, needs, margin, reserves, times, moments, windows, splines)
+    intervals = {robot: make_intervals(sequence, times, robot, options.settle) for robot in scenario.robots}
+    return _Problem(scenario, sequence, needs, margin, reserves, options, times, moments, intervals, splines)
 
 
 def _make_spline(
-    scenario: FreeFlyerScenario, sequence: HullSequence, times: np.ndarray, name: str, vertex: int
+    scenario: FreeFlyerScenario, sequence: BoxSequence, times: np.ndarray, name: str, vertex: int
 ) -> QuinticSpline:
     robot, rest = scenario.robots[name], (np.zeros(2), np.zeros(2))
-    nodes = {
-        0: Node(np.array(robot.start), rest),
-        len(times) - 1: Node(None if robot.goal is None else np.array(robot.goal), rest),
+    known = {
+        0: Breakpoint(np.array(robot.start), rest),
+        len(times) - 1: Breakpoint(None if robot.goal is None else np.array(robot.goal), rest),
     }
     for k, hitter in enumerate(sequence.hitters, start=1):
         if hitter == name:
             _, _, contacts = compute_vertices(scenario, sequence, k)
             j = int(np.abs(times - sequence.times[k]).argmin())
-            nodes[j] = Node(contacts.robot[vertex], (contacts.minus[vertex], contacts.plus[vertex]))
-    return build_quintic_spline(times, nodes)
+            known[j] = Breakpoint(contacts.robot[vertex], (contacts.minus[vertex], contacts.plus[vertex]))
+    return build_quintic_spline(times, known)
 
 
 def _interpolate_knots(problem: _Problem, robot: str, vertex: int) -> np.ndarray:
     sequence, moments = problem.sequence, problem.moments
     times, knots = sequence.knot_times, sequence.knots[robot].copy()
-    for window in problem.windows[robot]:
-        _, _, contacts = compute_vertices(problem.scenario, sequence, window.impact)
-        knots[np.abs(times - sequence.times[window.impact]).argmin()] = contacts.robot[vertex]
+    for interval in problem.intervals[robot]:
+        _, _, contacts = compute_vertices(problem.scenario, sequence, interval.impact)
+        knots[np.abs(times - sequence.times[interval.impact]).argmin()] = contacts.robot[vertex]
     return np.stack([np.interp(moments, times, knots[:, d]) for d in range(2)], axis=2)
 
 
@@ -140,7 +142,7 @@ def _key(robot: str, vertex: int) -> str:
 
 
 def _solve_round(problem: _Problem, points: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, float]]:
-    """Solve the QP with the sides read off the previous points; returns new points and violations by kind."""
+    """Solve the QP with the sides of the previous points; returns new points and violations by kind."""
     rows, robots = SplineRows(problem.splines), problem.scenario.robots
     for robot in robots:
         _add_limits(rows, problem, robot)
@@ -151,38 +153,21 @@ def _solve_round(problem: _Problem, points: dict[str, np.ndarray]) -> tuple[dict
         if not problem.sequence.points:
             _add_robot_clearance(rows, problem, first, second, points)
     A, b = rows.stack()
-    P, q = _make_cost(problem.splines, rows.slacks)
+    smoothing = problem.options.smoothing
+    P, q = rows.make_cost(smoothing.jerk_weight, COST_SCALE, smoothing.slack_weights[0])
     merge = _merge_columns(problem, rows)
     P = sparse.triu(merge.T @ P @ merge, format="csc")
     x = merge @ solve_clarabel("responses", P, merge.T @ q, (A @ merge).tocsc(), b, [clarabel.NonnegativeConeT(len(b))])
-    found = {}
-    for robot in robots:
-        curves = []
-        for i in range(4):
-            spline = problem.splines[_key(robot, i)]
-            states = x[rows.starts[_key(robot, i)] :][: 2 * spline.size].reshape(2, -1).T
-            curves.append(spline.position.apply(states).reshape(-1, DEGREE + 1, 2))
-        found[robot] = np.stack(curves)
-    return found, {kind: rows.violation(x, kind) for kind in ("area", "wall", "clearance")}
-
-
-def _make_cost(splines: dict[str, QuinticSpline], slacks: int) -> tuple[sparse.csc_matrix, np.ndarray]:
-    # A factor brings the cost near 1, where the solver's tolerances fit.
-    blocks, linear = [], []
-    for spline in splines.values():
-        quadratic, slope = spline.cost(JERK_WEIGHT)
-        blocks += [25.0 * quadratic, 25.0 * quadratic]
-        linear += [25.0 * slope[:, 0], 25.0 * slope[:, 1]]
-    blocks.append(sparse.csc_matrix((slacks, slacks)))
-    return sparse.block_diag(blocks, format="csc"), np.concatenate([*linear, np.full(slacks, SLACK_WEIGHT)])
+    found = {robot: np.stack([rows.read_points(x, _key(robot, i)) for i in range(4)]) for robot in robots}
+    return found, {kind: rows.measure_violation(x, kind) for kind in ("area", "wall", "clearance")}
 
 
 def _merge_columns(problem: _Problem, rows: SplineRows) -> sparse.csc_matrix:
     """Return the matrix that gives four curves one state at breakpoints where they must be one."""
     source = np.arange(rows.size + rows.slacks)
-    for robot, windows in problem.windows.items():
+    for robot, intervals in problem.intervals.items():
         spline = problem.splines[_key(robot, 0)]
-        switches = [window.start for window in windows] or [np.inf]
+        switches = [interval.start for interval in intervals] or [np.inf]
         shared = problem.times <= switches[0] + 1e-9
         for switch in switches[1:]:
             shared |= np.abs(problem.times - switch) < 1e-9
@@ -205,18 +190,18 @@ def _corrections(problem: _Problem, robot: str) -> list[np.ndarray]:
     times, count = problem.times, len(problem.times) - 1
     taken = [np.zeros((count, DEGREE + 1 - order, 2)) for order in range(3)]
     steps = np.diff(times)[:, None]
-    for window in problem.windows[robot]:
-        off, before, after = compute_amplitudes(problem.scenario, problem.sequence, window.impact)
-        for rest, turn in ((window.before, before), (window.after, after)):
-            part = slice(*sorted((rest, window.event)))
-            curves = compute_returns(times, rest, window.event)
+    for interval in problem.intervals[robot]:
+        off, before, after = compute_amplitudes(problem.scenario, problem.sequence, interval.impact)
+        for rest, turn in ((interval.before, before), (interval.after, after)):
+            part = slice(*sorted((rest, interval.event)))
+            curves = compute_returns(times, rest, interval.event)
             for order in range(3):
                 size = np.abs(curves)[..., None]
                 # Contacts inside a box differ from the mean of its vertices; those nearest to a wall do not.
                 taken[order][part] += size[0] * off * (order > 0) + size[1] * turn
                 curves = (DEGREE - order) * np.diff(curves, axis=2) / steps[part]
-        # Contact itself is where the hull grid has made room for it.
-        taken[0][window.event - 1, -1] = taken[0][window.event, 0] = 0.0
+        # Contact itself is where the box grid has made room for it.
+        taken[0][interval.event - 1, -1] = taken[0][interval.event, 0] = 0.0
     return taken
 
 
@@ -271,39 +256,37 @@ def _add_areas(rows: SplineRows, problem: _Problem, name: str, points: np.ndarra
 def _add_halfspaces(
     rows: SplineRows, problem: _Problem, name: str, normals: np.ndarray, limits: np.ndarray, kind: str
 ) -> None:
-    """Add normals . p <= limits on the control points of all four curves."""
+    """Add normals . p <= limits on the control points p of all four curves."""
     for i in range(4):
-        part = problem.splines[_key(name, i)].position
-        rows.add([(_key(name, i), part, normals.reshape(-1, 2))], limits.ravel(), kind)
+        rows.add_halfspaces(_key(name, i), normals, limits, kind)
 
 
 def _add_object_clearance(rows: SplineRows, problem: _Problem, name: str, points: np.ndarray) -> None:
-    """Keep the robot off wherever the object may be for all that its curve knows."""
+    """Keep the robot away from every place where the object may be, as far as its curve knows."""
     scenario, sequence, moments = problem.scenario, problem.sequence, problem.moments
     robot = scenario.robots[name]
     touching = robot.radius + scenario.objects[sequence.object].radius
     for i in range(4):
         center, half = _locate_object(problem, name, i)
-        normals = _sides(center - points[i])
+        normals = find_sides(center - points[i])
         wanted = np.full(moments.shape, touching + problem.reserves.clearance)
         for time, at in ((0.0, 0), (sequence.times[-1], -1)):
             toward = sequence.centers[at] - sequence.knots[name][at]
             given = np.linalg.norm(toward) - np.abs(toward) @ sequence.halves[at] / np.linalg.norm(toward)
-            wanted = np.minimum(wanted, given + GROWTH * np.abs(moments - time))
-        for window in problem.windows[name]:
-            _, arrival, contacts = compute_vertices(scenario, sequence, window.impact)
+            wanted = np.minimum(wanted, given + problem.options.smoothing.parting_speed * np.abs(moments - time))
+        for interval in problem.intervals[name]:
+            _, arrival, contacts = compute_vertices(scenario, sequence, interval.impact)
             normal = contacts.normal[i]
-            normals[window.event - 1 : window.event + 1] = normal
+            normals[interval.event - 1 : interval.event + 1] = normal
             approach = float((contacts.minus - arrival)[i] @ normal)
-            rate = min(GROWTH, 0.5 * scenario.believed.restitution * approach)
-            wanted = np.minimum(wanted, touching + rate * np.abs(moments - sequence.times[window.impact]))
+            rate = min(problem.options.smoothing.parting_speed, 0.5 * scenario.believed.restitution * approach)
+            wanted = np.minimum(wanted, touching + rate * np.abs(moments - sequence.times[interval.impact]))
         limits = np.sum(normals * center - np.abs(normals) * half, axis=2) - wanted
-        part = problem.splines[_key(name, i)].position
-        rows.add([(_key(name, i), part, normals.reshape(-1, 2))], limits.ravel(), "clearance")
+        rows.add_halfspaces(_key(name, i), normals, limits, "clearance")
 
 
 def _locate_object(problem: _Problem, name: str, vertex: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the box the object is in at every control point, given a vertex: middles and half widths, (S, 6, 2)."""
+    """Return the object's box at every control point, given a vertex: centres and half widths, shape (S, 6, 2)."""
     sequence, moments = problem.sequence, problem.moments
     centers, halves = np.empty((*moments.shape, 2)), np.empty((*moments.shape, 2))
     for segment, moment in enumerate(moments):
@@ -312,7 +295,7 @@ def _locate_object(problem: _Problem, name: str, vertex: int) -> tuple[np.ndarra
         start, end = sequence.times[leg : leg + 2]
         share = ((moment - start) / (end - start))[:, None]
         ends = np.stack([sequence.centers[leg : leg + 2], sequence.halves[leg : leg + 2]])
-        known = [window.impact for window in problem.windows[name] if window.start <= middle < window.end]
+        known = [interval.impact for interval in problem.intervals[name] if interval.start <= middle < interval.end]
         for k in known:
             corner = sequence.boxes[k][VERTICES[vertex], np.arange(2)]
             if k == leg:
@@ -333,25 +316,17 @@ def _add_robot_clearance(
     touching = robots[first].radius + robots[second].radius
     taken = _corrections(problem, first)[0] + _corrections(problem, second)[0]
     middle = points[second].mean(axis=0) - points[first].mean(axis=0)
-    normals = _sides(middle)
+    normals = find_sides(middle)
     wanted = np.full(moments.shape, touching + problem.reserves.clearance)
     for time, at in ((0.0, 0), (problem.times[-1], -1)):
         given = np.linalg.norm(knots[first][at] - knots[second][at])
-        wanted = np.minimum(wanted, given + GROWTH * np.abs(moments - time))
+        wanted = np.minimum(wanted, given + problem.options.smoothing.parting_speed * np.abs(moments - time))
     wanted += np.sum(np.abs(normals) * taken, axis=2)
     for i, j in itertools.product(range(4), range(4)):
         apart = np.sum(normals * (points[second][j] - points[first][i]), axis=2)
-        limits = np.where(apart < wanted + NEAR, -wanted, np.inf)
+        limits = np.where(apart < wanted + problem.options.near, -wanted, np.inf)
         parts = [
             (_key(first, i), problem.splines[_key(first, i)].position, normals.reshape(-1, 2)),
             (_key(second, j), problem.splines[_key(second, j)].position, -normals.reshape(-1, 2)),
         ]
         rows.add(parts, limits.ravel(), "clearance")
-
-
-def _sides(relative: np.ndarray) -> np.ndarray:
-    """Return one unit direction per segment, repeated for its control points; relative: shape (S, 6, 2)."""
-    middle = relative.mean(axis=1)
-    length = np.linalg.norm(middle, axis=1, keepdims=True)
-    unit = np.where(length > 1e-9, middle / np.maximum(length, 1e-9), [1.0, 0.0])
-    return np.repeat(unit[:, None, :], DEGREE + 1, axis=1)

@@ -1,4 +1,4 @@
-"""Rows of the hull grid for bodies with radii: every robot stays on one side of the object."""
+"""Rows of the box grid for bodies with radii: every robot stays on one side of the object."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.robust.box_grid import HALF_ANGLE, Box, HullGrid
+from planners.free_flyer.robust.box_grid import HALF_ANGLE, BoxGrid, PositionBox
 from planners.free_flyer.specification.direction import AXES
 from planners.mixed_integer import Affine
 
-# Velocities along that direction, as shares of the object's greatest speed, one of which an impact steps across.
+# Velocities along the direction of an impact, as shares of the object's greatest speed; one of them lies between the
+# velocities before and after it.
 LEVELS = (0.0, -0.3, 0.3, -0.6, 0.6)
-LEAST_PUSH = 0.02  # of the velocities before and after an impact along the direction [m/s]
-COARSE = 1e-3  # what a side at a fixed start or goal may miss by rounding [m]
+COARSE = 1e-3  # so that a rounded fixed start or goal still counts as clear of a side [m]
 
 
-def add_side_rows(grid: HullGrid, scenario: FreeFlyerScenario, reserves: Reserves) -> None:
-    """Let every robot choose one side of the object for good, hit it from there only, and not near it otherwise.
+def add_side_rows(grid: BoxGrid, scenario: FreeFlyerScenario, reserves: Reserves) -> None:
+    """Let every robot choose one side of the object for the whole plan; it hits the object from there only.
 
-    The robot is then never in the object's way, does not overtake it, and its contact point is a smooth function
-    of where the object is.
+    Otherwise it keeps its distance. The robot is then never in the object's way, does not overtake it, and its contact
+    point is a smooth function of the object's place.
 
     Args:
         grid: gets the rows.
@@ -36,7 +36,7 @@ def add_side_rows(grid: HullGrid, scenario: FreeFlyerScenario, reserves: Reserve
         grid.model.require_equal(sum(sides, Affine({})) - 1.0)
     spans = [_add_span(grid, k) for k in range(len(grid.moves))]
     for event in range(len(grid.hits)):
-        _add_cone_rows(grid, spans, event, _least_push(grid, scenario))
+        _add_cone_rows(grid, spans, event, _compute_least_push(grid, scenario, reserves))
     for robot, sides in grid.sides.items():
         _add_clearance_rows(grid, scenario, (robot, grid.object), sides, reserves)
     for pair in itertools.combinations(scenario.robots, 2):
@@ -45,38 +45,37 @@ def add_side_rows(grid: HullGrid, scenario: FreeFlyerScenario, reserves: Reserve
         _add_clearance_rows(grid, scenario, pair, sides, reserves)
 
 
-def _least_push(grid: HullGrid, scenario: FreeFlyerScenario) -> Affine | float:
-    """Return the least change of the object's velocity: bodies have to part, whatever the deviation.
+def _compute_least_push(grid: BoxGrid, scenario: FreeFlyerScenario, reserves: Reserves) -> Affine | float:
+    """Return the least change of the object's velocity at which the bodies part, whatever the deviation [m/s].
 
-    They part at e (m_R + m_O) / ((1 + e) m_R) |v^+ - v^-|, less delta for the object and m_O / m_R delta for
-    the robot.
+    They part at e (m_R + m_O) / ((1 + e) m_R) |v^+ - v^-|, less delta of the object and m_O / m_R delta of the robot.
     """
     e = max(scenario.believed.restitution, 1e-3)
-    return grid.delta * ((1.0 + e) / e) + LEAST_PUSH
+    return grid.delta * ((1.0 + e) / e) + reserves.push_speed
 
 
-def _add_span(grid: HullGrid, leg: int) -> Box:
+def _add_span(grid: BoxGrid, leg: int) -> PositionBox:
     """Return the box of all displacements wanted on a moving leg."""
     first, second = grid.moves[leg]
     if all(one is other for one, other in zip(first, second, strict=True)):
-        return Box(first, first)
+        return PositionBox(first, first)
     bounds = np.array([grid.model.limits(entry) for entry in first]).T
     lower, upper = grid.model.vector(*bounds), grid.model.vector(*bounds)
     for move, d in itertools.product((first, second), range(2)):
         grid.model.require(lower[d] - move[d])
         grid.model.require(move[d] - upper[d])
-    return Box(lower, upper)
+    return PositionBox(lower, upper)
 
 
-def _add_cone_rows(grid: HullGrid, spans: list[Box], event: int, push: Affine | float) -> None:
-    """Keep every impulse near the direction of the hitting robot's side, and not nil.
+def _add_cone_rows(grid: BoxGrid, spans: list[PositionBox], event: int, push: Affine | float) -> None:
+    """Constrain every impulse to a cone around the direction of the hitting robot's side, and away from zero.
 
-    With some velocity w along the direction, v^+ - w and w - v^- in a cone put v^+ - v^- there. Times the
-    duration of its leg each is linear.
+    If for some velocity w along the direction v^+ - w and w - v^- are in a cone, so is v^+ - v^-. Each of them, times
+    the duration of its leg, is linear.
     """
     model = grid.model
     before, after = grid.legs[event], grid.legs[event + 1]
-    # Before the first impact the object rests, and w = 0 serves best.
+    # Before the first impact the object rests, and w = 0 is the best choice.
     shift_before, shift_after = _add_shifts(grid, event) if event else (Affine({}), Affine({}))
     for (robot, hit), (i, a) in itertools.product(grid.hits[event].items(), enumerate(AXES)):
         unless = 2.0 - hit - grid.sides[robot][i]
@@ -92,10 +91,10 @@ def _add_cone_rows(grid: HullGrid, spans: list[Box], event: int, push: Affine | 
             model.require(spans[0].support(-a) + after * push, unless=unless)  # type: ignore[operator]
 
 
-def _add_shifts(grid: HullGrid, event: int) -> tuple[Affine, Affine]:
-    """Return the durations before and after an impact, each times the same one of the speeds it may step across.
+def _add_shifts(grid: BoxGrid, event: int) -> tuple[Affine, Affine]:
+    """Return the durations before and after an impact, each times the same one of the velocities of `LEVELS`.
 
-    Durations are split into one part per speed, of which all but one are nought: products without a big M.
+    Durations are split into one part per velocity, of which all but one are zero: products without a big M.
     """
     model, fastest = grid.model, max(grid.caps)
     chosen = [model.binary() for _ in LEVELS]
@@ -112,9 +111,9 @@ def _add_shifts(grid: HullGrid, event: int) -> tuple[Affine, Affine]:
 
 
 def _add_clearance_rows(
-    grid: HullGrid, scenario: FreeFlyerScenario, pair: tuple[str, str], sides: list[Affine], reserves: Reserves
+    grid: BoxGrid, scenario: FreeFlyerScenario, pair: tuple[str, str], sides: list[Affine], reserves: Reserves
 ) -> None:
-    """Keep the second body beyond the first along the axis of the chosen side, but for their own impacts.
+    """Keep the second body beyond the first along the axis of the chosen side, except at their own impacts.
 
     Boxes that are apart along an axis at both ends of a piece are apart in between.
     """
@@ -127,6 +126,6 @@ def _add_clearance_rows(
             apart = -(first[knot].support(axis) + second[knot].support(-axis))
             wanted = touching + reserves.wall if knot == grid.count else far
             if not isinstance(apart, Affine):
-                # What is given at fixed ends may be nearer; diagonal neighbours count as clear of both axes.
+                # Fixed ends may be closer; diagonal neighbours count as clear of both axes.
                 wanted = min(max(apart, touching * np.sqrt(0.5) - COARSE), far)
             grid.model.require(wanted - apart + Affine({}), unless=1.0 - side + hit)

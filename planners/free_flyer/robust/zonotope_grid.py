@@ -1,4 +1,4 @@
-"""The paper's grid: segments of equal duration, the object's box taken anew in position and velocity at every one."""
+"""The paper's grid: segments of equal duration, each with a box of the object's positions and velocities."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.robust.box_grid import Box, Conditions, HullGrid, make_grid
+from planners.free_flyer.robust.box_grid import BoxGrid, Conditions, ObjectLegs, PositionBox, make_grid
 from planners.mixed_integer import Affine, Model
 
 
@@ -19,14 +19,14 @@ def build_zonotope_grid(
     delta: float | None,
     conditions: Conditions,
     reserves: Reserves,
-) -> HullGrid:
+) -> BoxGrid:
     r"""Build the model of all motions with impacts on a grid of N equal segments, for bodies without extent.
 
     With dt = T / N and the box [p] x [v] of an axis at the start of a segment, the next one holds, from every
     vertex, (p + v dt, v) without an impact and (p + (u_p +- delta) dt, u_p +- delta) with one, where the velocity
     u_p wanted after it depends on the end p of the interval. The intervals of position and velocity forget how
-    they belong together, so spread grows at every boundary. For equal masses and e = 1 (m4 = 0) nothing is lost
-    against all 16 vertices: u never needs to know the velocity before.
+    they belong together, so the spread grows at every boundary. For equal masses and e = 1 (m4 = 0) this is as exact as
+    all 16 vertices, for u does not depend on the velocity before.
 
     Args:
         scenario: one object, any number of robots.
@@ -46,14 +46,14 @@ def build_zonotope_grid(
     body, step = scenario.objects[name], scenario.horizon / segments
     wanted = model.variable(0.0, body.speed_limit) if delta is None else delta
     legs, caps = [step] * segments, [0.0, *[body.speed_limit] * (segments - 1)]
-    grid = make_grid(model, scenario, legs, caps, wanted, conditions, reserves, turning=False)
+    grid = make_grid(model, scenario, ObjectLegs(legs, caps), wanted, conditions, reserves, turning=False)
     if isinstance(wanted, Affine):
         model.objective = -wanted
     velocities = grid.velocities
-    velocities.append(Box(np.zeros(2), np.zeros(2)))
+    velocities.append(PositionBox(np.zeros(2), np.zeros(2)))
     for segment in range(1, segments):
         fastest = np.full(2, body.speed_limit)
-        velocities.append(Box(model.vector(-fastest, fastest), model.vector(-fastest, fastest)))
+        velocities.append(PositionBox(model.vector(-fastest, fastest), model.vector(-fastest, fastest)))
         hit = sum(grid.hits[segment - 1].values(), Affine({}))
         model.require(hit - 1.0)
         _add_segment_rows(grid, segment, step, velocities, hit)
@@ -64,8 +64,8 @@ def build_zonotope_grid(
     return grid
 
 
-def _add_segment_rows(grid: HullGrid, segment: int, step: float, velocities: list[Box], hit: Affine) -> None:
-    """Send all vertices of the box at a boundary into the boxes of the segment after it and at its end."""
+def _add_segment_rows(grid: BoxGrid, segment: int, step: float, velocities: list[PositionBox], hit: Affine) -> None:
+    """Require all vertices of the box at a boundary to be in the boxes of the next segment and at its end."""
     model, here, there = grid.model, grid.boxes[segment], grid.boxes[segment + 1]
     before, now = velocities[segment - 1 : segment + 1]
     for d in range(2):
@@ -81,7 +81,9 @@ def _add_segment_rows(grid: HullGrid, segment: int, step: float, velocities: lis
             model.require(move + spread - now.upper[d] * step, unless=1.0 - hit)
 
 
-def _add_velocity_rows(grid: HullGrid, scenario: FreeFlyerScenario, segment: int, step: float, before: Box) -> None:
+def _add_velocity_rows(
+    grid: BoxGrid, scenario: FreeFlyerScenario, segment: int, step: float, before: PositionBox
+) -> None:
     """Bound the velocities v_R^- = (u - m4 v_O^-) / m3 and m1 v_R^- + m2 v_O^- of a robot that hits."""
     for name, hit in grid.hits[segment - 1].items():
         robot, body = scenario.robots[name], scenario.objects[grid.object]

@@ -1,65 +1,30 @@
-"""Rows of 'a state formula holds at these places of the grid, and on the line between them'."""
+"""Rows of 'a state formula holds at these places of the grid, and on the lines between them'."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from impact_envs.stl import And, Formula, Predicate
-from planners.alternatives import AllOf, AnyOf
-from planners.alternatives import Node as Tree
+from planners.alternatives import AllOf, AnyOf, Tree
 from planners.free_flyer.specification.direction import DIRECTIONS
+from planners.free_flyer.specification.grid import Grid, Place, Time, find_place
 from planners.free_flyer.specification.requirement import Requirement
-from planners.mixed_integer import Affine, Model
-
-Time: TypeAlias = Affine | float
-Place: TypeAlias = tuple[int, float]  # piece, and fraction of its way
-
-
-class Grid(Protocol):
-    """Motions along knots that all bodies pass at the same times.
-
-    A knot is a point, or an axis-aligned box of points with `lower` and `upper`, of which all are meant. Between
-    knots bodies move uniformly, or are in the interpolation of the boxes.
-    """
-
-    @property
-    def model(self) -> Model:
-        """Return the model."""
-
-    @property
-    def rho(self) -> Affine:
-        """Return the robustness [m]."""
-
-    @property
-    def pieces(self) -> int:
-        """Return the number of pieces between two events."""
-
-    @property
-    def count(self) -> int:
-        """Return the number of pieces."""
-
-    @property
-    def times(self) -> Sequence[Time]:
-        """Return the times of the knots, the first and the last of them numbers [s]."""
-
-    @property
-    def knots(self) -> Mapping[str, Sequence[Any]]:
-        """Return every body's knots [m]."""
+from planners.mixed_integer import Affine
 
 
 @dataclass(frozen=True)
-class Window:
+class TimeWindow:
     """Hold a window of time in which something has to hold.
 
     Args:
         start: [s].
-        end: the very same expression for an instant [s].
-        lead: time by which a piece has to end before the start to be out of it [s].
-        lag: time by which a piece has to start after the end to be out of it [s].
+        end: pass the same object as `start` to mean one instant [s].
+        lead: a piece is outside the window if it ends this long before the start [s].
+        lag: a piece is outside the window if it starts this long after the end [s].
     """
 
     start: Time
@@ -74,8 +39,8 @@ class Window:
             return self.start is self.end
         return self.start == self.end
 
-    def shifted(self, lower: float, upper: float) -> Window:
-        """Return the window of all instants between `lower` and `upper` after one of this window."""
+    def shifted(self, lower: float, upper: float) -> TimeWindow:
+        """Return the window of all instants that are `lower` to `upper` after an instant of this one [s]."""
         start = self.start + lower
         return replace(self, start=start, end=start if self.is_instant and lower == upper else self.end + upper)
 
@@ -87,7 +52,7 @@ class Mark:
     Args:
         need: the predicate.
         windows: start and end [s].
-        once: only one instant of the intersection is meant.
+        once: it holds at one instant of the intersection, not at all of them.
     """
 
     need: Requirement
@@ -95,35 +60,7 @@ class Mark:
     once: bool
 
 
-Node: TypeAlias = Tree[Mark]
-
-
-def interpolate(here: Any, there: Any, fraction: float) -> Any:
-    """Return what lies between two expressions, points or boxes.
-
-    Args:
-        here: at fraction 0.
-        there: at fraction 1.
-        fraction: of the way.
-    """
-    if fraction in (0.0, 1.0):
-        return there if fraction else here
-    if hasattr(here, "lower"):
-        ends = ((here.lower, there.lower), (here.upper, there.upper))
-        return type(here)(*(interpolate(*end, fraction) for end in ends))
-    return here + (there - here) * fraction
-
-
-def find_place(grid: Grid, body: str, place: Place) -> Any:
-    """Return where a body is, as a point or a box.
-
-    Args:
-        grid: the grid.
-        body: name.
-        place: piece and fraction.
-    """
-    piece, fraction = place
-    return interpolate(grid.knots[body][piece], grid.knots[body][piece + 1], fraction)
+MarkedTree: TypeAlias = Tree[Mark]
 
 
 def make_state_rows(
@@ -134,7 +71,7 @@ def make_state_rows(
     windows: tuple[tuple[Time, Time], ...],
     once: bool = False,
     reserve: float = 0.0,
-) -> Node:
+) -> MarkedTree:
     """Return the rows of a state formula, marked with its predicates.
 
     Args:
@@ -142,8 +79,8 @@ def make_state_rows(
         predicates: what they require.
         formula: predicates, and, or.
         places: one place, or the two ends of a piece.
-        windows: in whose intersection the bodies are there [s].
-        once: whether one instant of it counts.
+        windows: the bodies are there in their intersection [s].
+        once: whether one instant of it is enough.
         reserve: as for `make_predicate_rows`.
     """
     if isinstance(formula, Predicate):
@@ -153,8 +90,8 @@ def make_state_rows(
     return AllOf(tuple(parts)) if isinstance(formula, And) else AnyOf(tuple(parts))
 
 
-def make_predicate_rows(grid: Grid, need: Requirement, places: Sequence[Place], reserve: float = 0.0) -> Node:
-    """Return the rows of a predicate: what holds at both ends of a piece beyond one line also does in between.
+def make_predicate_rows(grid: Grid, need: Requirement, places: Sequence[Place], reserve: float = 0.0) -> MarkedTree:
+    """Return the rows of a predicate; what holds beyond one line at both ends of a piece holds in between as well.
 
     Args:
         grid: the grid.
@@ -184,10 +121,7 @@ def make_predicate_rows(grid: Grid, need: Requirement, places: Sequence[Place], 
 
 def _most(normal: np.ndarray, place: Any) -> Time:
     """Return the greatest normal @ p of a point or a box."""
-    if not hasattr(place, "lower"):
-        return normal @ place
-    ends = [(place.upper if n > 0.0 else place.lower)[d] * n for d, n in enumerate(normal) if n != 0.0]
-    return sum(ends[1:], ends[0])
+    return place.support(normal) if hasattr(place, "support") else normal @ place
 
 
 def _stay(grid: Grid, need: Requirement, point: Mapping[str, Any]) -> Iterator[Affine]:
@@ -207,7 +141,7 @@ def _avoid(grid: Grid, need: Requirement, distances: Sequence[Time], reserve: fl
 
 
 def _fixed_directions(pairs: Sequence[tuple[Any, Any]]) -> Iterator[np.ndarray]:
-    """Return the directions between bodies whose places are fixed, where their distance then counts in full."""
+    """Return the directions between bodies at fixed places: along them the whole distance counts."""
     for here, there in pairs:
         places = [np.asarray(place) for place in (here, there) if not hasattr(place, "lower")]
         if len(places) == 2 and all(place.dtype != object for place in places):

@@ -1,4 +1,4 @@
-"""What holds in a solution of the event grid, and when, so that the formula does."""
+"""Read from a solution of a grid which predicates it satisfies, and when."""
 
 from __future__ import annotations
 
@@ -8,46 +8,47 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planners.alternatives import read_marks
-from planners.free_flyer.specification.predicate_rows import Grid, Mark, Node, Time
+from planners.free_flyer.specification.grid import Grid, Time
+from planners.free_flyer.specification.predicate_rows import Mark, MarkedTree
 from planners.free_flyer.specification.requirement import Requirement
 from planners.mixed_integer import Affine
 
-TOLERANCE = 1e-6  # of rows in a solution, in their unit
-TIE = 1e-6  # [control periods]
+TOLERANCE = 1e-6  # by which a solution may violate rows [their unit] and times may differ [s]
+TIE = 1e-6  # times so little past the middle of two control steps round down [control periods]
 
 
 @dataclass(frozen=True)
 class Choices:
-    """Hold what has to hold in a grid, to read off a solution how it does.
+    """Hold the alternatives of a formula in a grid, to read from a solution which of them it takes.
 
     Args:
         grid: the grid.
-        nodes: trees of all conjuncts and solid obstacles.
+        trees: of all conjuncts and solid obstacles.
         instants: variables that are instants [s].
         period: control period [s].
     """
 
     grid: Grid
-    nodes: tuple[Node, ...]
+    trees: tuple[MarkedTree, ...]
     instants: tuple[Affine, ...]
     period: float
 
     def read(self, x: np.ndarray, times: np.ndarray) -> tuple[Requirement, ...]:
-        """Return predicates with windows in numbers, which together make the formula hold.
+        """Return the predicates that together satisfy the formula, with windows in numbers.
 
         Args:
             x: solution of the grid's model, shape (n,).
             times: final times of the grid's knots, which may differ a little from the solution's [s].
 
         Returns:
-            The predicates chosen, and the solid obstacles. Single instants are on control steps.
+            The chosen predicates, and the solid obstacles. Single instants fall on control steps.
         """
         final = self._settle(x, times)
-        marks = [mark for node in self.nodes for mark in read_marks(node, x, TOLERANCE)]
+        marks = [mark for tree in self.trees for mark in read_marks(tree, x, TOLERANCE)]
         return tuple(need for mark in marks for need in self._read_mark(mark, final))
 
     def _settle(self, x: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """Return the solution with the final times, and with instants that moved along with them."""
+        """Return the solution with the final times of its knots; instants move along with them."""
         final = np.array(x, dtype=float)
         before = [_value(time, x) for time in self.grid.times]
         for time, value in zip(self.grid.times, times, strict=True):
@@ -64,7 +65,7 @@ class Choices:
         start = max(_value(window[0], final) for window in mark.windows)
         end = min(_value(window[1], final) for window in mark.windows)
         if mark.once:
-            # Rounding may turn a window about; its middle is the instant all the same.
+            # Rounding may make a window end before it starts; its middle is then still the instant.
             middle = self._round(0.5 * (start + end))
             start = end = middle if start <= middle <= end or start >= end else 0.5 * (start + end)
         if start <= end:

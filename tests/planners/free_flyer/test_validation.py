@@ -6,11 +6,11 @@ import pytest
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import load_scenario
-from planners import make_plan
 from planners.bezier import Curve
 from planners.errors import SolverFailed
-from planners.free_flyer.validation import check_plan, compute_robustness
+from planners.free_flyer.validation import compute_robustness, validate_plan
 from planners.plan import Plan
+from tests.frozen.freeze import get_plan
 
 
 @pytest.fixture(scope="module")
@@ -19,8 +19,10 @@ def scenario() -> FreeFlyerScenario:
 
 
 @pytest.fixture(scope="module")
-def plan(scenario: FreeFlyerScenario) -> Plan:
-    return make_plan(scenario)
+def plan() -> Plan:
+    stored = get_plan("throw_and_catch", "nominal")
+    assert stored is not None
+    return stored
 
 
 def _shift(curve: Curve, by: float) -> Curve:
@@ -70,23 +72,23 @@ def _longer(plan: Plan) -> Plan:
 
 
 def test_an_honest_plan_passes(scenario: FreeFlyerScenario, plan: Plan) -> None:
-    assert check_plan(scenario, plan) == pytest.approx(0.25, abs=1e-6)
+    assert validate_plan(scenario, plan) == pytest.approx(0.25, abs=1e-6)
 
 
 @pytest.mark.parametrize("reason", TAMPERED)
 def test_a_tampered_plan_is_rejected(scenario: FreeFlyerScenario, plan: Plan, reason: str) -> None:
     with pytest.raises(SolverFailed, match=reason.strip()):
-        check_plan(scenario, TAMPERED[reason](plan))
+        validate_plan(scenario, TAMPERED[reason](plan))
 
 
 def test_other_physics_reject_the_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:
     with pytest.raises(SolverFailed, match="plan check"):
-        check_plan(scenario.override({"believed.restitution": 0.5}), plan)
+        validate_plan(scenario.override({"believed.restitution": 0.5}), plan)
 
 
 def test_weaker_thrusters_reject_the_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:
     with pytest.raises(SolverFailed, match="its limit is"):
-        check_plan(scenario.override({"robots.snap.force_limit": 0.1}), plan)
+        validate_plan(scenario.override({"robots.snap.force_limit": 0.1}), plan)
 
 
 def test_a_robot_in_the_way_rejects_the_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:
@@ -94,7 +96,7 @@ def test_a_robot_in_the_way_rejects_the_plan(scenario: FreeFlyerScenario, plan: 
     still = Curve([0.0, 30.0], np.tile([0.5, 2.0], (1, 2, 1)))
     blocked = replace(plan, robots=plan.robots | {"crackle": still}, impacts=plan.impacts[:1])
     with pytest.raises(SolverFailed, match="plan check"):
-        check_plan(way, blocked)
+        validate_plan(way, blocked)
 
 
 def test_robustness_is_that_of_the_object_at_the_end(scenario: FreeFlyerScenario) -> None:

@@ -5,6 +5,7 @@ from impact_envs.scenario import load_scenario
 from planners import make_plan
 from planners.errors import Infeasible
 from planners.free_flyer.nominal.diagnosis import find_relaxation
+from planners.free_flyer.nominal.task import NominalTask
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.requirement import read_demands
 from planners.mixed_integer import Affine, Model
@@ -15,7 +16,8 @@ def _relaxation(name: str, values: dict, impacts: int) -> dict[str, float]:
     scenario = load_scenario(name).override(values)
     assert isinstance(scenario, FreeFlyerScenario)
     reserves = Reserves()
-    found = find_relaxation(scenario, read_demands(scenario, reserves.wall), impacts, 1e-3, reserves, 30.0)
+    task = NominalTask(scenario, read_demands(scenario, reserves.wall), reserves)
+    found = find_relaxation(task, impacts, 1e-3, 30.0)
     return {relaxation.part: relaxation.amount for relaxation in found}
 
 

@@ -9,7 +9,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import build_scenario
 from planners.errors import PlanningError
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
-from planners.free_flyer.validation import Tolerances, check_plan
+from planners.free_flyer.validation import Tolerances, validate_plan
 from planners.plan import Plan
 
 TIGHT = Tolerances(position=1e-5, velocity=1e-6, robustness=1e-3)
@@ -82,7 +82,7 @@ def _box(center: np.ndarray, half: float) -> dict[str, object]:
 
 
 def _check(scenario: FreeFlyerScenario, plan: Plan) -> None:
-    rho = check_plan(scenario, plan, TIGHT)
+    rho = validate_plan(scenario, plan, TIGHT)
     assert rho == pytest.approx(plan.robustness, abs=1e-9)
     assert rho <= plan.bound + 1e-9
     for robot, curve in plan.robots.items():

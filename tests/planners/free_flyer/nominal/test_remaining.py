@@ -13,10 +13,11 @@ from planners import make_expert, make_plan
 from planners.errors import Infeasible
 from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.nominal.event_sequence import compute_speed_caps
-from planners.free_flyer.nominal.remaining import Past, make_remaining_scenario, plan_remaining, progress_formula
+from planners.free_flyer.nominal.remaining import Past, make_remaining_scenario, plan_rest, progress_formula
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.validation import check_plan, compute_robustness
+from planners.free_flyer.validation import compute_robustness, validate_plan
 from planners.plan import Plan
+from tests.frozen.freeze import get_plan
 
 AFTER_FIRST = ["throw_and_catch", "corridor", "pong", "pingpong", "relay"]
 SLOWER = [pytest.param(name, marks=pytest.mark.slow) for name in ("obstacle_avoidance", "exchange")]
@@ -24,7 +25,9 @@ SLOWER = [pytest.param(name, marks=pytest.mark.slow) for name in ("obstacle_avoi
 
 @cache
 def _plan(name: str) -> Plan:
-    return make_plan(name)
+    plan = get_plan(name, "nominal")
+    assert plan is not None
+    return plan
 
 
 def _scenario(name: str, **values: object) -> FreeFlyerScenario:
@@ -59,7 +62,7 @@ def test_a_drifting_object_is_caught_in_the_goal() -> None:
     np.testing.assert_allclose(catch.position, [0.5, 1.5 + 0.05 * catch.time], atol=1e-9)
     np.testing.assert_allclose(plan.robots["crackle"].velocity(0.0), [-0.1, 0.02], atol=1e-9)
     np.testing.assert_allclose(plan.objects["pop"].velocity(30.0, "left"), 0.0, atol=1e-12)
-    assert check_plan(scenario, plan) == pytest.approx(plan.robustness)
+    assert validate_plan(scenario, plan) == pytest.approx(plan.robustness)
 
 
 def test_a_drifting_object_is_thrown_into_the_goal() -> None:
@@ -133,14 +136,14 @@ def test_the_rest_is_planned_from_near_the_plan_after_its_first_impact(name: str
     now = round(plan.impacts[0].time + 0.2, 9)
     arguments = scenario, now, *_state(plan, now, rng), _track(scenario, plan, now)
     rest = make_remaining_scenario(*arguments)
-    found = plan_remaining(*arguments, time_limit=60.0, impacts=len(plan.impacts) - 1)
+    found = plan_rest(rest, len(plan.impacts) - 1, time_limit=60.0)
     assert found.validated
     assert found.horizon == rest.horizon == pytest.approx(scenario.horizon - now)
     assert set(found.robots) == set(scenario.robots)
-    assert check_plan(rest, found) == found.robustness > 0.05
+    assert validate_plan(rest, found) == found.robustness > 0.05
     for body in scenario.robots:
         np.testing.assert_allclose(found.robots[body].velocity(0.0), rest.robots[body].start_velocity, atol=1e-9)
-    again = plan_remaining(*arguments, time_limit=30.0, impacts=len(plan.impacts) - 1)
+    again = plan_rest(rest, len(plan.impacts) - 1, time_limit=30.0)
     assert again.impacts == found.impacts
     assert again.robots == found.robots
 
@@ -149,7 +152,8 @@ def test_the_expert_executes_the_rest() -> None:
     scenario, plan, rng = _scenario("pong"), _plan("pong"), np.random.default_rng(2)
     now = round(plan.impacts[0].time + 0.2, 9)
     arguments = scenario, now, *_state(plan, now, rng), _track(scenario, plan, now)
-    rest, found = make_remaining_scenario(*arguments), plan_remaining(*arguments, time_limit=60.0, impacts=3)
+    rest = make_remaining_scenario(*arguments)
+    found = plan_rest(rest, 3, time_limit=60.0)
     episode = rollout(parallel_env(rest), make_expert(rest, found), 0)
     assert len(episode.impacts) == len(found.impacts) == 3
     assert episode.robustness == pytest.approx(found.robustness, abs=0.03)
@@ -222,7 +226,7 @@ def test_nothing_left_to_do_is_no_task() -> None:
     places = {body: np.array(scenario.body(body).start) for body in scenario.bodies}
     still = {body: np.zeros(2) for body in scenario.bodies}
     past = times, {body: np.array([place, place]) for body, place in places.items()}
-    plan = plan_remaining(scenario, 10.0, places, still, past)
+    plan = plan_rest(make_remaining_scenario(scenario, 10.0, places, still, past))
     assert plan.impacts == ()
     assert plan.horizon == 20.0
     for now in (30.0, 10.03, -1.0):
@@ -235,5 +239,6 @@ def test_an_object_out_of_reach_is_infeasible() -> None:
     now = 12.0
     positions, velocities = _state(plan, now, np.random.default_rng(0))
     velocities["pop"] = np.array([0.5, 0.5])
+    rest = make_remaining_scenario(scenario, now, positions, velocities, _track(scenario, plan, now))
     with pytest.raises(Infeasible):
-        plan_remaining(scenario, now, positions, velocities, _track(scenario, plan, now))
+        plan_rest(rest)

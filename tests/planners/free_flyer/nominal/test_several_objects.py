@@ -9,14 +9,18 @@ from planners import make_plan
 from planners.free_flyer.nominal.event_sequence import own_events
 from planners.free_flyer.nominal.sequence_search import restrict_to_object
 from planners.plan import Plan
+from tests.frozen.freeze import get_plan
 
 IMPACTS = {"relay": 3, "exchange": 4, "crew": 6}
-EVERY = pytest.mark.parametrize("name", ["relay", "exchange", pytest.param("crew", marks=pytest.mark.slow)])
+EVERY = pytest.mark.parametrize("name", IMPACTS)
 
 
 @cache
 def _plan(name: str) -> Plan:
-    return make_plan(name)
+    """Return the stored plan; `tests/frozen` holds the planner to it."""
+    plan = get_plan(name, "nominal")
+    assert plan is not None
+    return plan
 
 
 def _scenario(name: str) -> FreeFlyerScenario:

@@ -11,7 +11,9 @@ from planners.errors import Infeasible
 from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.robust.box_grid import Conditions
-from planners.free_flyer.robust.deviation_search import RobustTask, Shape, compute_ceiling, maximise_deviation
+from planners.free_flyer.robust.deviation_search import compute_ceiling, maximise_deviation
+from planners.free_flyer.robust.task import RobustOptions, RobustTask
+from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import read_demands
 from planners.plan import Plan
 from planners.solvers import solve
@@ -103,7 +105,7 @@ def test_scenario_says_gap_and_where_the_object_may_start() -> None:
 def test_what_bears_a_deviation_bears_half_of_it() -> None:
     task = _task("throw_and_catch", 5.0)
     optimum = maximise_deviation(task, 3, 60.0)
-    solve(task.build(optimum.shape, 0.5 * optimum.delta).model, 60.0)
+    solve(task.build(optimum.size, 0.5 * optimum.delta)[0].model, 60.0)
 
 
 def test_bodies_with_extent_bear_no_more_than_points() -> None:
@@ -115,7 +117,7 @@ def test_bodies_with_extent_bear_no_more_than_points() -> None:
 def test_nothing_bears_more_than_the_ceiling() -> None:
     task = _task("throw_and_catch", 10.0)
     with pytest.raises(Infeasible):
-        solve(task.build(Shape(2), 1.01 * compute_ceiling(task)).model, 60.0)
+        solve(task.build(GridSize(2), 1.01 * compute_ceiling(task))[0].model, 60.0)
 
 
 @pytest.mark.slow
@@ -130,9 +132,9 @@ def test_longer_tasks_have_plans_that_the_closed_loop_confirms(name: str) -> Non
 @pytest.mark.parametrize(
     ("name", "options", "word"),
     [
-        ("throw_and_catch", {"share": 0.0}, "share"),
+        ("throw_and_catch", {"options": RobustOptions(share=0.0)}, "share"),
         ("throw_and_catch", {"time_grid": 1}, "time_grid"),
-        ("throw_and_catch", {"gap": -1.0}, "gap"),
+        ("throw_and_catch", {"conditions": Conditions(-1.0)}, "gap"),
         ("throw_and_catch", {"max_impacts": 0}, "max_impacts"),
         ("exchange", {}, "one object, got 2"),
     ],

@@ -9,12 +9,14 @@ from impact_envs.scenario import load_scenario
 from planners.errors import SolverFailed
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.robust.box_grid import Conditions
-from planners.free_flyer.robust.deviation_search import RobustTask, Shape, compute_ceiling, search_deviation
-from planners.free_flyer.robust.effort import minimise_robust_effort
+from planners.free_flyer.robust.deviation_search import compute_ceiling, search_deviation
+from planners.free_flyer.robust.least_cost import minimise_robust_cost
 from planners.free_flyer.robust.monte_carlo import check_responses, draw_deviations, simulate_runs
 from planners.free_flyer.robust.planner import make_impact_robust_plan
 from planners.free_flyer.robust.response import Responses, compute_returns, compute_weights
 from planners.free_flyer.robust.response_smoothing import make_responses
+from planners.free_flyer.robust.task import ResponseOptions, RobustOptions, RobustTask
+from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import read_demands
 
 DELTA, RUNS = 0.012, 60
@@ -35,8 +37,8 @@ def _responses() -> Responses:
     conditions = Conditions(5.0, initial=(0.05, 0.05), room=0.1)
     calm = replace(reserves, turn=1.5 * reserves.turn, thrust=reserves.thrust / 1.5)
     task = RobustTask(scenario, read_demands(scenario, reserves.wall), conditions, calm)
-    events = minimise_robust_effort(task, Shape(2), DELTA, [], 60.0)
-    return make_responses(scenario, events.sequence, events.needs, 0.0, reserves)
+    events = minimise_robust_cost(task, GridSize(2), DELTA, [], 60.0)
+    return make_responses(scenario, events.sequence, events.needs, 0.0, reserves, ResponseOptions())
 
 
 def _samples(responses: Responses) -> int:
@@ -88,11 +90,11 @@ def test_discs_touch_and_approach_along_the_line_of_centres() -> None:
     responses = _responses()
     scenario, sequence = responses.scenario, responses.sequence
     runs = simulate_runs(responses, sequence.centers[:1], np.zeros((1, 2, 2)))
-    window = responses.windows[sequence.hitters[1]][0]
+    interval = responses.intervals[sequence.hitters[1]][0]
     points = runs.robots[sequence.hitters[1]][0]
-    contact = points[window.event, 0]
-    step = responses.times[window.event] - responses.times[window.event - 1]
-    minus = 5.0 * (contact - points[window.event - 1, -2]) / step
+    contact = points[interval.event, 0]
+    step = responses.times[interval.event] - responses.times[interval.event - 1]
+    minus = 5.0 * (contact - points[interval.event - 1, -2]) / step
     offset, relative = runs.positions[0, 1] - contact, minus - runs.velocities[0, 0]
     robot, body = scenario.robots[sequence.hitters[1]], scenario.objects[sequence.object]
     assert np.linalg.norm(offset) == pytest.approx(robot.radius + body.radius, abs=1e-9)
@@ -110,13 +112,13 @@ def test_nobody_answers_what_is_not_known_yet() -> None:
     before, after = responses.points[catcher][:, :known], responses.points[catcher][:, known:]
     np.testing.assert_allclose(before, before[:1].repeat(4, axis=0), atol=1e-9)
     assert np.abs(after - after[:1]).max() > 0.05
-    assert responses.windows[thrower][0].start == 0.0
+    assert responses.intervals[thrower][0].start == 0.0
 
 
 def test_responses_are_smooth_but_for_own_impacts() -> None:
     responses = _responses()
     for name in responses.scenario.robots:
-        jumps = {responses.sequence.times[window.impact] for window in responses.windows[name]}
+        jumps = {responses.sequence.times[interval.impact] for interval in responses.intervals[name]}
         for curve in responses.curves(name):
             for time in set(responses.times[1:-1]) - jumps:
                 np.testing.assert_allclose(curve.velocity(time, "left"), curve.velocity(time), atol=1e-7)
@@ -152,7 +154,7 @@ def test_any_masses_and_restitution(restitution: float, mass: float) -> None:
     objects = {name: body.model_copy(update={"mass": mass}) for name, body in scenario.objects.items()}
     believed = scenario.believed.model_copy(update={"restitution": restitution})
     scenario = scenario.model_copy(update={"objects": objects, "believed": believed})
-    plan = make_impact_robust_plan(scenario, max_impacts=2, runs=RUNS)
+    plan = make_impact_robust_plan(scenario, max_impacts=2, options=RobustOptions(runs=RUNS))
     assert plan.validated
     assert plan.deviation > 0.01
 
@@ -163,7 +165,7 @@ def test_bodies_that_hardly_part_bear_hardly_any_deviation(restitution: float, l
     believed = scenario.believed.model_copy(update={"restitution": restitution})
     scenario = scenario.model_copy(update={"believed": believed})
     task = RobustTask(scenario, read_demands(scenario, 0.05), Conditions(5.0), Reserves())
-    found, bound = search_deviation(task, Shape(2), 0.0, 0.05, 0.1, 60.0)
+    found, bound = search_deviation(task, GridSize(2), 0.0, 0.05, 0.1, 60.0)
     assert least < found <= bound < greatest
 
 
@@ -194,6 +196,6 @@ def test_points_give_the_known_deviations(name: str, gap: float, final: float, i
     conditions = Conditions(gap, final, points=True, gather=False)
     task = RobustTask(scenario, read_demands(scenario, 0.0), conditions, BARE)
     ceiling = compute_ceiling(task)
-    found, bound = search_deviation(task, Shape(impacts), 0.0, ceiling, 2e-3, 60.0)
+    found, bound = search_deviation(task, GridSize(impacts), 0.0, ceiling, 2e-3, 60.0)
     assert found == pytest.approx(delta, abs=1.5e-4)
     assert found <= bound <= found * 1.003

@@ -12,7 +12,8 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import build_scenario
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.robust.box_grid import Conditions
-from planners.free_flyer.robust.deviation_search import RobustTask, maximise_deviation
+from planners.free_flyer.robust.deviation_search import maximise_deviation
+from planners.free_flyer.robust.task import RobustTask
 from planners.free_flyer.specification.requirement import read_demands
 
 NONE = Reserves(speed=1.0, thrust=1.0, first=0.0, gap=0.1, last=0.0, clearance=0.0, wall=0.0, avoid=0.0)

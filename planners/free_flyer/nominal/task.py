@@ -1,0 +1,165 @@
+"""What the planner of most robustness is asked for, and how far it goes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
+from planners.free_flyer.nominal.event_sequence import Word
+from planners.free_flyer.reserves import Reserves
+from planners.free_flyer.specification.formula_rows import add_demands
+from planners.free_flyer.specification.grid import GridSize
+from planners.free_flyer.specification.requirement import Demands
+from planners.free_flyer.specification.selection import Choices
+from planners.spline_rows import SmoothingOptions
+
+
+@dataclass(frozen=True)
+class NominalTask:
+    """Hold what is asked of a plan.
+
+    Args:
+        scenario: bodies, limits and world.
+        demands: of its formula and of solid obstacles.
+        reserves: what the plan keeps in hand.
+        solver: of mixed-integer models.
+    """
+
+    scenario: FreeFlyerScenario
+    demands: Demands
+    reserves: Reserves
+    solver: str = "highs"
+
+    def build(
+        self,
+        size: GridSize,
+        rho: tuple[float, float],
+        word: Word | None = None,
+        avoid: float = 0.0,
+        elastic: bool = False,
+    ) -> tuple[EventGrid, Choices]:
+        """Build the model of all plans of a size, formula included.
+
+        Args:
+            size: of the grid.
+            rho: least and greatest robustness allowed [m].
+            word: who hits what at each impact; None: anybody anything.
+            avoid: distance to keep from areas to avoid, in addition to the robustness [m].
+            elastic: whether speeds and conjuncts of the formula may be exceeded at a price.
+
+        Returns:
+            The grid, and what reads from its solutions how the formula holds in them.
+
+        Raises:
+            Infeasible: the variable bounds alone exclude every plan.
+        """
+        grid = build_event_grid(self.scenario, size.impacts, rho, self.reserves, size.pieces, word, elastic)
+        return grid, add_demands(grid, self.demands, self.scenario.control_period, size.passing, avoid)
+
+
+class Wish(NamedTuple):
+    """Say what a plan should do for its execution, where the robustness leaves room for it.
+
+    Attributes:
+        at_events: reach areas at events, where the execution aims, not between them.
+        far: keep `Reserves.avoid` from areas to avoid.
+    """
+
+    at_events: bool
+    far: bool
+
+
+@dataclass(frozen=True)
+class CostOptions:
+    """Choose how closely the least path cost is approached.
+
+    Args:
+        gap: to which the least cost is proven, relative.
+        tangents: number of tangent planes per piece, axis and sign at first; solutions add more.
+        rounds: greatest number of outer approximations.
+        straightening_gap: relative gap of the solution that flights of several objects are straightened by.
+        weights: of objects' costs while their flights are still bent; the first one that lets them straighten counts.
+        wishes: in the order in which they are given up.
+        together: whether the time limit is for all wishes and weights together, not for each solution.
+    """
+
+    gap: float = 0.01
+    tangents: int = 12
+    rounds: int = 4
+    straightening_gap: float = 0.05
+    weights: tuple[float, ...] = (1.0, 3.0, 10.0)
+    wishes: tuple[Wish, ...] = (Wish(True, True), Wish(True, False), Wish(False, True), Wish(False, False))
+    together: bool = False
+
+
+@dataclass(frozen=True)
+class WordSearchOptions:
+    """Choose how long sequences of impacts are compared.
+
+    Args:
+        gap: relative difference of costs below which sequences count as equally good.
+        tangents: number of tangent planes per piece, axis and sign while sequences are compared.
+        weight: of objects' costs while their flights are still bent.
+        nodes: of the search over all sequences that bounds the cost, where there are few binaries of hits.
+        few: greatest number of such binaries; with more, the linear relaxation alone is the bound.
+        evaluations: greatest number of sequences tried.
+        improve: whether to look on after the first sequence that has a plan, and to bound the cost.
+    """
+
+    gap: float = 0.01
+    tangents: int = 5
+    weight: float = 3.0
+    nodes: int = 300
+    few: int = 24
+    evaluations: int = 60
+    improve: bool = True
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """Choose how far a plan is improved, and what of it is proven.
+
+    Args:
+        least: robustness below which a task counts as having no plan [m].
+        enough: share of the bound of the robustness above which no other number of impacts is tried; half of it once
+            a plan has failed, if not thorough.
+        robustness_gap: to which the greatest robustness is proven, relative.
+        pieces: numbers of pieces per leg in the order in which they are tried; two let robots turn corners.
+        joint: share of their robustness that several objects keep when their flights are straightened.
+        thrust: share of the thrust that smooth motions may use; None: that of the reserves.
+        expected: number of impacts to try first, then one more, then fewer; None: count up from the fewest.
+        halvings: how often the reserves are halved for a task that leaves no room for them.
+        turns: factors of the time for starting and stopping, tried when motions prove too quick to be smoothed.
+        words: number of sequences of impacts tried at each of these.
+        diagnosis: greatest time for finding what to loosen where there is no plan [s].
+        thorough: whether what to loosen is said, and robustness is improved for longer than there is a plan.
+        cost: of the stage of least path cost.
+        search: of the sequences of impacts of several objects.
+        smoothing: of the motions.
+    """
+
+    least: float = 1e-3
+    enough: float = 1.0
+    robustness_gap: float = 1e-6
+    pieces: tuple[int, ...] = (1, 2)
+    joint: float = 1.0
+    thrust: float | None = None
+    expected: int | None = None
+    halvings: int = 2
+    turns: tuple[float, ...] = (1.0, 1.5)
+    words: int = 3
+    diagnosis: float = 20.0
+    thorough: bool = True
+    cost: CostOptions = field(default_factory=CostOptions)
+    search: WordSearchOptions = field(default_factory=WordSearchOptions)
+    smoothing: SmoothingOptions = field(default_factory=SmoothingOptions)
+
+    def order_numbers(self, fewest: int, most: int) -> list[int]:
+        """Return the numbers of impacts in the order in which they are tried."""
+        every = range(fewest, most + 1)
+        if self.expected is None:
+            return list(every)
+        last = self.expected + 1
+        return sorted((k for k in every if k <= last), key=lambda k: (k < last - 1, abs(k - last + 1)))
