@@ -14,8 +14,7 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.errors import SolverFailed
 from planners.free_flyer.belief.options import Options
-from planners.free_flyer.belief.plan_table import END
-from planners.free_flyer.belief.world_memory import INSERTED, TIME, find_next_event, find_strike
+from planners.free_flyer.belief.world_memory import NO_OBJECT, find_next_event, find_strike
 from planners.free_flyer.closed_loop.tracker import fill_reference
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
@@ -158,19 +157,19 @@ def fill(expert: FreeFlyerExpert, r: int) -> None:
     """Write robot r's tracking problem into the expert's workspace, as the expert does."""
     table, memory, workspace = expert.table, expert.memory, expert.workspace
     o = find_strike(memory, 0, r)
-    if o != END:
+    if o != NO_OBJECT:
         strike = memory.strike[0, o]
-        if strike[INSERTED] == 0.0 and strike[TIME] > find_next_event(table, memory, 0, r)[0] + ROUND_OFF:
-            o = END
+        if not strike["is_inserted"] and strike["time"] > find_next_event(table, memory, 0, r)[0] + ROUND_OFF:
+            o = NO_OBJECT
     fill_reference(table, memory, workspace, 0, 0, r, o)
     z, heading = memory.filter[0, r], memory.heading[0, r]
-    workspace.state[0] = z[0], z[1], heading[0], z[2], z[3], heading[1]
+    workspace.state[0] = *z["position"], heading["angle"], *z["velocity"], heading["rate"]
 
 
 def note_push(expert: FreeFlyerExpert, r: int, action: np.ndarray, problem: TrackingProblem) -> None:
     """Tell the expert's estimator which acceleration an action will cause."""
-    heading, rate = expert.memory.heading[0, r]
-    turned = heading + rate * problem.period / 2
+    heading = expert.memory.heading[0, r]
+    turned = heading["angle"] + heading["rate"] * problem.period / 2
     push = action[:2] * problem.limits[:2] * problem.gains[:2]
     c, s = np.cos(turned), np.sin(turned)
     expert.memory.push[0, r] = c * push[0] - s * push[1], s * push[0] + c * push[1]
