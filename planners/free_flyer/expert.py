@@ -23,7 +23,7 @@ from planners.free_flyer.closed_loop.background import Background
 from planners.free_flyer.closed_loop.world_loop import ADOPT, CONTROL, OBSERVE, START, run_experts
 from planners.free_flyer.impact_law import compute_velocity_gain
 from planners.free_flyer.next_impact.desired_velocity import choose_desired_velocity, find_next_knot
-from planners.free_flyer.next_impact.reoptimisation import make_rest_qp
+from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
 from planners.plan import Plan
 

@@ -17,7 +17,7 @@ from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_wo
 from planners.free_flyer.closed_loop.background import Background
 from planners.free_flyer.closed_loop.world_loop import ACT, ADOPT, run_experts
 from planners.free_flyer.expert import check_plan, get_options
-from planners.free_flyer.next_impact.reoptimisation import make_rest_qp
+from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
 from planners.plan import Plan
 

@@ -148,9 +148,7 @@ def update_estimates(plan: PlanTable, memory: WorldMemory, k: int, joint: np.nda
     difference of their positions is pure noise of variance 20 sigma^2. Measurements that are not finite are skipped.
 
     Args:
-        plan: what is believed.
         memory: of all worlds; `touch` says afterwards who was hit.
-        k: world.
         joint: everything measured once, shape (N, 7 n + r + 3).
         now: time of the sample [s].
     """
@@ -216,7 +214,7 @@ def find_nearest(plan: PlanTable, memory: WorldMemory, k: int, i: int) -> int:
 
 @compiled
 def apply_impact(plan: PlanTable, memory: WorldMemory, k: int, i: int, j: int, h: float) -> None:
-    """Apply Eq. 6 to the estimates; how deep free flight would have overlapped says how long ago it was."""
+    """Apply Eq. 6 to the estimates; the overlap after free flight tells how long ago the impact was."""
     a, b = memory.filter[k, i], memory.filter[k, j]
     x, y = b.position[0] - a.position[0], b.position[1] - a.position[1]
     distance = math.hypot(x, y)
@@ -234,7 +232,7 @@ def apply_impact(plan: PlanTable, memory: WorldMemory, k: int, i: int, j: int, h
     felt = memory.felt[k, i]
     felt.approach, felt.normal[0], felt.normal[1] = approach, nx, ny
     felt.free_velocity, felt.object_variance = a.velocity, b.P_vv
-    # What is learned of the thrust takes the place of what the filter believes of it.
+    # Replace the filter's variance of the thrust by the learned one.
     felt.robot_variance = max(a.P_vv - THRUST * THRUST * h * h, 0.0) + memory.velocity_error[k, i]
     for body in (0, 1):
         change = gain * approach if body == 0 else -gain * approach * ratio

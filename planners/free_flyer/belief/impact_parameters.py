@@ -46,7 +46,7 @@ def find_row(memory: WorldMemory, r: int, o: int) -> int:
 
 @compiled
 def start_pairs(plan: PlanTable, memory: WorldMemory, k: int) -> None:
-    """Start world k with what is believed, as uncertain as it is before any hit."""
+    """Start world k with the believed values and their prior covariance."""
     objects = len(plan.first)
     size = 2 * plan.robots * objects
     for i in range(size):
@@ -98,13 +98,11 @@ def compute_gain_spread(memory: WorldMemory, k: int, r: int, o: int) -> float:
 
 @compiled
 def learn_velocity_error(memory: WorldMemory, k: int, i: int, square: float, variance: float) -> None:
-    """Learn how far body i's velocity after a control period is from what its filter expects.
+    """Learn the variance of body i's velocity after a control period about what its filter predicts.
 
     Thrusters that do not do as they are told show in it, and objects whose centre of mass is elsewhere.
 
     Args:
-        memory: of all worlds.
-        k: world.
         i: body.
         square: of the difference of measured and predicted velocity [m^2/s^2].
         variance: of the measured velocity per axis; one that is worse than what is to be learned tells little.

@@ -1,4 +1,8 @@
-"""What the compiled expert remembers of every world: estimates, courses, coming impacts."""
+"""What the compiled expert remembers of every world: estimates, courses, coming impacts.
+
+Compiled functions name their arguments alike: `plan`: the table that is followed, `memory`: of all worlds, `k`: world,
+`i`, `j`: bodies, `r`: robot, `o`: object (body robots + o), `c`: thread, `z`: a FILTER, `now`: present time [s].
+"""
 
 from __future__ import annotations
 
@@ -232,12 +236,6 @@ def make_world_memory(plan: PlanTable, count: int) -> WorldMemory:
 @compiled
 def find_next_event(plan: PlanTable, memory: WorldMemory, k: int, r: int) -> tuple[float, float, int]:
     """Return when robot r has to be somewhere next: its next impact, or the end of the plan.
-
-    Args:
-        plan: what is followed.
-        memory: of all worlds.
-        k: world.
-        r: robot.
 
     Returns:
         Expected time [s], the plan's time [s], and the number of the impact or NO_IMPACT.

@@ -19,19 +19,15 @@ SWEEPS = 3  # over all neighbours
 def avoid_bodies(
     plan: PlanTable, memory: WorldMemory, k: int, r: int, target: int, ax: float, ay: float
 ) -> tuple[float, float, float]:
-    r"""Return the acceleration nearest to a wish with which robot r can still brake before all bodies but its target.
+    r"""Return the acceleration nearest to a desired one with which robot r can still brake before all but its target.
 
     (v_r - v_j) . n + h a . n <= sqrt(b^2 h^2 + 2 b max(d - d_min, 0)) - b h for each body j, n from robot to body, b
     the braking acceleration (of both, if both are robots): the row of a barrier, projected onto in turn. What the
     limits leave of it is slack; a robot that hits is exempt from the object it hits.
 
     Args:
-        plan: who is who.
-        memory: estimates of all worlds.
-        k: world.
-        r: robot.
         target: body that the robot is on course to hit, or NO_TARGET.
-        ax, ay: wished acceleration [m/s^2].
+        ax, ay: desired acceleration [m/s^2].
 
     Returns:
         Acceleration [m/s^2], and the greatest slack [m/s].

@@ -97,7 +97,7 @@ class Background:
             del self._next[k]
             memory.wanted[k] = math.inf
         elif 0.0 <= memory.wanted[k] <= now and _is_calm(memory, k, now):
-            # Nothing is wanted until the answer has had its time.
+            # No further plan is wanted before this one had time to act.
             memory.wanted[k] = -math.inf
             if table.horizon - now >= LEAST_LEFT:
                 self._ask_plan(table, memory, k, now)
@@ -149,7 +149,7 @@ class Background:
             self.close()
 
     def _make_rest(self, table: PlanTable, memory: WorldMemory, k: int, now: float, begin: float) -> FreeFlyerScenario:
-        """Make the scenario that will be left: objects fly on, robots follow their courses."""
+        """Make the scenario that is left at `begin`: objects fly on, robots follow their courses."""
         positions, velocities = {}, {}
         for i, name in enumerate(self._scenario.bodies):
             if i < table.robots:
@@ -177,7 +177,7 @@ class Background:
         return table
 
     def _await_answer(self, number: int) -> str | None:
-        """Return the plan that answers a request, None if there is none."""
+        """Return the answer to a request, None if no plan was found or the worker died."""
         while self._read < number and self._owner == os.getpid():  # answers come in the order of the questions
             try:
                 answer = json.loads(self._lines.get())
@@ -214,7 +214,7 @@ def _forward(answers: TextIO, lines: queue.SimpleQueue[str]) -> None:
 
 
 def _is_calm(memory: WorldMemory, k: int, now: float) -> bool:
-    """Return whether no impact is near, before or after a new plan is taken over."""
+    """Return whether no impact is near now or when a new plan is taken over."""
     strike = memory.strike[k]
     coming = strike[(strike["index"] != NO_IMPACT) | strike["is_inserted"]]
     settled = (now >= strike["last_contact"] + SETTLE).all()

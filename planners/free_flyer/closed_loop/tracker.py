@@ -1,4 +1,4 @@
-"""Follow a course: reference over the horizon, MPC with its fallbacks or LQR, and keeping off others; compiled."""
+"""Track a course: reference over the horizon, MPC with its fallbacks or LQR, collision avoidance; compiled."""
 
 from __future__ import annotations
 

@@ -38,8 +38,9 @@ from planners.free_flyer.next_impact.bookkeeping import (
 )
 from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF
 from planners.free_flyer.next_impact.insertion import LONG_ASTRAY, SOON, insert_impact
-from planners.free_flyer.next_impact.reoptimisation import RestQP, reoptimise_rest
+from planners.free_flyer.next_impact.reoptimisation import reoptimise_rest
 from planners.free_flyer.next_impact.replanner import replan_course
+from planners.free_flyer.next_impact.rest_qp import RestQP
 from planners.free_flyer.next_impact.retiming import FROZEN, retime_impact
 from planners.free_flyer.tracking.mpc import Workspace
 
@@ -66,7 +67,7 @@ def start_world(plan: PlanTable, memory: WorldMemory, options: Options, k: int) 
 
 @compiled
 def adopt_world(plan: PlanTable, memory: WorldMemory, k: int) -> None:
-    """Let world k follow a new plan from now on; what was learned of its objects stays."""
+    """Let world k follow a new plan from now on; keep what was learned of its objects."""
     now = memory.time[k]
     start_strikes(plan, memory, k, now)
     for r in range(plan.robots):
@@ -77,15 +78,9 @@ def adopt_world(plan: PlanTable, memory: WorldMemory, k: int) -> None:
 def observe_world(
     plan: PlanTable, memory: WorldMemory, options: Options, qp: RestQP, c: int, k: int, joint: np.ndarray
 ) -> int:
-    """Update the estimates, take note of contacts and missed impacts, look ahead.
+    """Update the estimates, record contacts and missed impacts, look ahead.
 
     Args:
-        plan: what is followed.
-        memory: of all worlds.
-        options: which parts of the loop are on.
-        qp: of all threads.
-        c: thread.
-        k: world.
         joint: everything measured once, shape (N, 7 n + r + 3).
 
     Returns:
@@ -108,7 +103,7 @@ def observe_world(
 
 @compiled
 def remember_positions(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> None:
-    """Keep where the bodies of world k are seen, every half second."""
+    """Store the estimated positions of world k's bodies every half second."""
     at = int(now / PAST_PERIOD + ROUND_OFF)
     if at < memory.past.shape[1] and now - at * PAST_PERIOD < plan.period - ROUND_OFF:
         for i in range(memory.past.shape[2]):
@@ -123,12 +118,7 @@ def control_world(
     """Replan where it is time to, and write each robot's action.
 
     Args:
-        plan: what is followed.
-        memory: of all worlds.
-        options: which parts of the loop are on.
         workspace: of all threads.
-        c: thread.
-        k: world.
         actions: body-frame forces and torque over their limits, written, shape (N, r, 3).
     """
     now = memory.time[k]
@@ -152,7 +142,7 @@ def control_world(
 
 @compiled
 def should_replan(memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> bool:
-    """Return whether the course of robot r to its impact on object o is to be planned anew."""
+    """Return whether the course of robot r to its impact on object o has to be replanned now."""
     strike = memory.strike[k, o]
     time = strike.time
     settled = now >= strike.last_contact + SETTLE - ROUND_OFF
@@ -209,7 +199,6 @@ def run_experts(
         due: object whose coming impact's correction is due, or NO_OBJECT, written by START and OBSERVE, shape (N,).
         phase: START, OBSERVE, CONTROL; ACT: observe and control, and start where time is 0; ADOPT: go on with a new
             plan.
-        c: thread.
         first, end: range of worlds.
     """
     plan_, memory_ = PlanTable(*plan), WorldMemory(*memory)

@@ -1,4 +1,4 @@
-"""The coming impact of every object: when it is expected, and what came of the last one; compiled."""
+"""Keep account of the coming impact of every object: when it is expected, and what the last one did; compiled."""
 
 from __future__ import annotations
 
@@ -59,9 +59,6 @@ def start_strikes(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> N
     """Start world k with the first impact of every object.
 
     Args:
-        plan: what is followed.
-        memory: of all worlds.
-        k: world.
         now: when the plan begins; after 0 the objects are in flight [s].
     """
     for o in range(len(plan.first)):
@@ -88,7 +85,7 @@ def start_strikes(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> N
 
 @compiled
 def await_impact(plan: PlanTable, memory: WorldMemory, k: int, o: int, index: int, now: float) -> None:
-    """Make a planned impact, or NO_IMPACT, the coming one of object o."""
+    """Make a planned impact, or none (NO_IMPACT), the coming one of object o."""
     strike = memory.strike[k, o]
     strike.index, strike.is_inserted, strike.misses, strike.replanned_at = index, False, 0, -math.inf
     strike.scale, strike.turn, strike.is_decided, strike.is_solved = 0.0, 0.0, False, False
@@ -115,7 +112,7 @@ def set_time(plan: PlanTable, memory: WorldMemory, k: int, o: int, index: int, t
 
 @compiled
 def set_clocks(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> None:
-    """Let every robot that follows its plan arrive at its next event when it is expected."""
+    """Set the clock of every robot that follows its plan, so that it is in time for its next event."""
     for r in range(plan.robots):
         course = memory.course[k, r]
         if not course.ends_in_impact:
@@ -148,7 +145,7 @@ def return_robot(plan: PlanTable, memory: WorldMemory, k: int, r: int, now: floa
 
 @compiled
 def remember_before(plan: PlanTable, memory: WorldMemory, k: int) -> None:
-    """Keep the objects' velocities as they were before the impact that may come now."""
+    """Store the objects' velocities before the impact that may come now."""
     for o in range(len(plan.first)):
         memory.hit[k, o].latest = memory.filter[k, plan.robots + o].velocity
 

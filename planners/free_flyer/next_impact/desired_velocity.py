@@ -1,4 +1,4 @@
-"""Where an object should fly from its coming impact: its next knot, how deep, from which side; compiled."""
+"""Choose the velocity that an object should have after its coming impact; compiled."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ROUND_OFF = 1e-6  # of times [s]
 
 @compiled
 def compute_margin(plan: PlanTable, knot: int, x: float, y: float) -> float:
-    """Return how deep a position lies in what a knot demands, negative outside [m]; inf without demands."""
+    """Return the distance of a position from the faces of a knot, negative outside [m]; inf without faces."""
     margin = math.inf
     for i in range(plan.knot[knot].faces):
         face = plan.face[knot, i]
@@ -38,11 +38,7 @@ def find_next_knot(plan: PlanTable, memory: WorldMemory, k: int, o: int, inserte
     """Return the knot after the coming impact of object o, when it is expected, and whether it is the end.
 
     Args:
-        plan: what is followed.
-        memory: of all worlds.
-        k: world.
-        o: object.
-        inserted: the coming impact is none of the plan.
+        inserted: the coming impact is not in the plan.
     """
     index = memory.strike[k, o].index
     if index != NO_IMPACT and not inserted:
@@ -92,7 +88,7 @@ def choose_desired_velocity(
     limit = plan.body[body].speed_limit
     if not last or not options.insert or plan.knot[knot].faces == 0:
         return compute_desired_velocity(x, y, target_x, target_y, duration, z.drift[0], z.drift[1], limit)
-    # How deep is enough grows to the plan's depth with the time that is left.
+    # The depth that is enough grows with the time that is left, up to the plan's.
     extra = min(max(duration / FULL_CORRECTION - 0.5, 0.0) * 2.0, 1.0)
     enough = (DEEP_ENOUGH + (1.0 - DEEP_ENOUGH) * extra) * plan.knot[knot].depth
     best, chosen = -math.inf, 1.0
@@ -112,7 +108,7 @@ def choose_desired_velocity(
 
 @compiled
 def compute_turn(plan: PlanTable, memory: WorldMemory, k: int, o: int, wish_x: float, wish_y: float) -> float:
-    """Return the cosine between reference normal and change to a velocity at object o's coming impact; 1 for none."""
+    """Return the cosine between the planned impulse on object o and what a desired velocity needs; 1 without change."""
     strike = memory.strike[k, o]
     _, _, vx, vy = extrapolate_flight(memory, k, plan.robots + o, strike.time)
     dx, dy = wish_x - vx, wish_y - vy
@@ -125,7 +121,7 @@ def compute_turn(plan: PlanTable, memory: WorldMemory, k: int, o: int, wish_x: f
 def compute_room(
     plan: PlanTable, memory: WorldMemory, k: int, o: int, r: int, time: float, wish_x: float, wish_y: float
 ) -> float:
-    """Return how deep robot r lies in the areas it may not leave, when it gives object o a velocity at a time [m]."""
+    """Return the margin of robot r to the areas it may not leave, when it gives object o a velocity at a time [m]."""
     body = plan.robots + o
     x, y, vx, vy = extrapolate_flight(memory, k, body, time)
     dx, dy = wish_x - vx, wish_y - vy
@@ -159,7 +155,7 @@ def hasten_next_knot(plan: PlanTable, memory: WorldMemory, k: int, o: int) -> No
 
 @compiled
 def find_share(plan: PlanTable, knot: int, x: float, y: float, target_x: float, target_y: float) -> float:
-    """Return the share of the way from a position to a target at which it is deep enough in what a knot demands."""
+    """Return the share of the way from a position to a target after which it is deep enough inside a knot's faces."""
     share, deep = 0.0, DEEP_ENOUGH * plan.knot[knot].depth
     for i in range(plan.knot[knot].faces):
         face = plan.face[knot, i]

@@ -1,4 +1,4 @@
-"""Add an unplanned impact on an object that goes astray, by the robot that stands best; compiled."""
+"""Add an unplanned impact on an object that goes astray, by the robot in the best position; compiled."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def choose_robot(
     time: float,
     duration: float,
 ) -> int:
-    """Return the robot that stands best for an impact on object o at a time, or NO_ROBOT."""
+    """Return the robot in the best position for an impact on object o at a time, or NO_ROBOT."""
     body = plan.robots + o
     z = memory.filter[k, body]
     x, y, vx, vy = extrapolate_flight(memory, k, body, time)

@@ -1,4 +1,4 @@
-"""The nearest point of a polyhedron by a dual active-set method: small, dense, says if there is none, compiled."""
+"""Project a point onto a polyhedron by a dual active-set method, or report that it is empty; small, dense, compiled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether and when a robot can be somewhere: its thrust, and what it has to hit before; compiled."""
+"""Compute whether and when a robot can be somewhere, given its thrust and its earlier impacts; compiled."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def compute_time(plan: PlanTable, r: int, d: float) -> float:
 
 @compiled
 def find_contact(plan: PlanTable, memory: WorldMemory, k: int, index: int) -> tuple[float, float]:
-    """Return where the robot of a planned impact is to be, with the object where it is wanted and hit as planned."""
+    """Return where a planned impact's robot is to be, with the object at its wanted place and the planned normal."""
     impact = plan.impact[index]
     reach = plan.body[impact.robot].radius + plan.body[impact.body].radius
     x = memory.place[k, index, 0] - reach * impact.normal[0]
@@ -31,7 +31,7 @@ def find_contact(plan: PlanTable, memory: WorldMemory, k: int, index: int) -> tu
 
 @compiled
 def compute_arrival(plan: PlanTable, memory: WorldMemory, k: int, index: int) -> float:
-    """Return when the robot of a planned impact can be there after what it has to hit before; 0 if there is nothing."""
+    """Return when the robot of a planned impact can be there after its earlier impacts; 0 if it has none."""
     r, arrival = plan.impact[index].robot, 0.0
     x, y = find_contact(plan, memory, k, index)
     for o in range(len(plan.first)):

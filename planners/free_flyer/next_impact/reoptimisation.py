@@ -14,18 +14,23 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from impact_envs.compiled import compiled
 from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.next_impact.projection import FOUND, project_point
 from planners.free_flyer.next_impact.reachability import compute_time
+from planners.free_flyer.next_impact.rest_qp import (
+    MOST_KNOTS,
+    Rest,
+    RestQP,
+    open_row,
+    put_place,
+    put_time,
+    put_variable,
+)
+from planners.free_flyer.next_impact.retiming import RESERVE, RESERVE_SHARE
 
-MOST_KNOTS = 8  # impacts of an object that are optimised at once; further ones keep their times
-SIZE = 3 * MOST_KNOTS + 1  # of the variables
-ROWS = 320
 SCALE_RHO = 0.1  # s_rho [m]
 SCALE_PLACE = 0.3  # s_P [m]
 SCALE_TIME = 10.0  # s_t [s]
@@ -36,61 +41,7 @@ WIDEST = math.tan(math.pi / 3)  # of the cone round the planned normal that legs
 SHORTEST_WAY = 0.05  # of a robot, for the linearisation of its time [m]
 SHORTEST_LEG = 0.05  # of an object, that has a direction [m]
 INSET = 0.25  # from both ends of a window [s]
-RESERVE, RESERVE_SHARE = 4.0, 0.1  # after the last impact [s], or of the horizon
 NO_STAGE = -1
-
-# The object's flight to its next impact.
-LINE = np.dtype(
-    [
-        ("position", float, 2),  # at time 0 [m]
-        ("velocity", float, 2),  # [m/s]
-        ("end", float),  # time of the last knot of the chain [s]
-    ]
-)
-
-
-class RestQP(NamedTuple):
-    """Where T threads optimise the rest of a plan: variables t_1..t_m, P_2..P_{m+1}, rho.
-
-    Attributes:
-        chain: knots of an object that are left, shape (T, 9).
-        line: LINE, shape (T,).
-        centre, scale, point: what the variables are pulled to, s, and the point from there in units of s,
-            shape (T, 25).
-        rows, bounds: of that point, shapes (T, 320, 25), (T, 320).
-        used: number of rows, shape (T,).
-        scratch: of the projection, shape (T, 29, 26).
-    """
-
-    chain: np.ndarray
-    line: np.ndarray
-    centre: np.ndarray
-    scale: np.ndarray
-    point: np.ndarray
-    rows: np.ndarray
-    bounds: np.ndarray
-    used: np.ndarray
-    scratch: np.ndarray
-
-
-class Rest(NamedTuple):
-    """One thread's part of a RestQP, with m impacts to come.
-
-    Attributes:
-        stages: m.
-        chain, centre, scale, rows, bounds: see `RestQP`, without the axis of threads.
-        line: a LINE.
-        used: number of rows, shape (1,).
-    """
-
-    stages: int
-    chain: np.ndarray
-    line: np.record
-    centre: np.ndarray
-    scale: np.ndarray
-    rows: np.ndarray
-    bounds: np.ndarray
-    used: np.ndarray
 
 
 class Way(NamedTuple):
@@ -115,32 +66,12 @@ class Way(NamedTuple):
     longest: float
 
 
-def make_rest_qp(threads: int = 1) -> RestQP:
-    """Make room for threads to optimise in."""
-    T, n = threads, SIZE
-    return RestQP(
-        chain=np.zeros((T, MOST_KNOTS + 1), np.int64),
-        line=np.zeros(T, LINE),
-        centre=np.zeros((T, n)),
-        scale=np.zeros((T, n)),
-        point=np.zeros((T, n)),
-        rows=np.zeros((T, ROWS, n)),
-        bounds=np.zeros((T, ROWS)),
-        used=np.zeros(T, np.int64),
-        scratch=np.zeros((T, n + 4, n + 1)),
-    )
-
-
 @compiled
 def reoptimise_rest(plan: PlanTable, memory: WorldMemory, qp: RestQP, c: int, k: int, o: int, now: float) -> bool:
-    """Move the places and times of object o's impacts that are left; return whether there is such a point.
+    """Optimise the places and times of object o's impacts that are left; return whether a feasible point exists.
 
     Args:
-        plan: what is followed.
-        memory: of all worlds; `place` and `clock` are written if there is a point.
-        qp: of all threads.
-        c: thread.
-        k: world.
+        memory: of all worlds; `place` and `clock` are written if one exists.
         o: object, with a planned impact to come and none inserted.
         now: [s].
     """
@@ -184,7 +115,7 @@ def _find_chain(plan: PlanTable, memory: WorldMemory, qp: RestQP, c: int, k: int
 
 @compiled
 def _set_references(plan: PlanTable, memory: WorldMemory, rest: Rest, k: int, o: int) -> None:
-    """Set what the variables are pulled to, and how strongly: times, places but the first, rho."""
+    """Set the centres and scales of the cost: of the times, of all places but the first, of rho."""
     depth, stages = math.inf, rest.stages
     for i in range(stages + 1):
         knot = rest.chain[i]
@@ -203,7 +134,7 @@ def _set_references(plan: PlanTable, memory: WorldMemory, rest: Rest, k: int, o:
     x, y, vx, vy = extrapolate_flight(memory, k, plan.robots + o, time)
     line.position[0], line.position[1] = x - vx * time, y - vy * time
     line.velocity[0], line.velocity[1] = vx, vy
-    # Its first place has no variable of its own; what pulls at it pulls at its time.
+    # Its first place is no variable: the cost of that place acts on its time.
     dx, dy = plan.knot[first].position[0] - x, plan.knot[first].position[1] - y
     there = (vx * vx + vy * vy) / (SCALE_PLACE * SCALE_PLACE)
     weight = there + 1.0 / (SCALE_TIME * SCALE_TIME)
@@ -212,79 +143,41 @@ def _set_references(plan: PlanTable, memory: WorldMemory, rest: Rest, k: int, o:
 
 
 @compiled
-def _open_row(rest: Rest, bound: float) -> int:
-    """Start a row 0 <= bound; return its number, the last one if there is no room."""
-    row = min(rest.used[0], len(rest.rows) - 1)
-    for i in range(3 * rest.stages + 1):
-        rest.rows[row, i] = 0.0
-    rest.bounds[row], rest.used[0] = bound, row + 1
-    return row
-
-
-@compiled
-def _put(rest: Rest, row: int, v: int, factor: float) -> None:
-    """Add factor times a variable to the left side of a row."""
-    rest.rows[row, v] += factor * rest.scale[v]
-    rest.bounds[row] -= factor * rest.centre[v]
-
-
-@compiled
-def _put_time(rest: Rest, row: int, i: int, factor: float) -> None:
-    """Add factor times the time of a stage."""
-    if i < rest.stages:
-        _put(rest, row, i, factor)
-    else:
-        rest.bounds[row] -= factor * rest.line.end
-
-
-@compiled
-def _put_place(rest: Rest, row: int, i: int, x: float, y: float) -> None:
-    """Add the scalar product of (x, y) with the place of a stage."""
-    if i == 0:
-        line = rest.line
-        _put(rest, row, 0, x * line.velocity[0] + y * line.velocity[1])
-        rest.bounds[row] -= x * line.position[0] + y * line.position[1]
-    else:
-        _put(rest, row, rest.stages + 2 * (i - 1), x)
-        _put(rest, row, rest.stages + 2 * (i - 1) + 1, y)
-
-
-@compiled
 def _add_demands(plan: PlanTable, rest: Rest) -> None:
-    """Keep what the formula demands of the places, with the margin rho."""
+    """Add what the formula demands of the places, with the margin rho."""
     for i in range(rest.stages + 1):
         knot = rest.chain[i]
         for j in range(plan.knot[knot].faces):
             face = plan.face[knot, j]
-            row = _open_row(rest, face.offset)
-            _put_place(rest, row, i, face.normal[0], face.normal[1])
-            _put(rest, row, 3 * rest.stages, 1.0)
+            row = open_row(rest, face.offset)
+            put_place(rest, row, i, face.normal[0], face.normal[1])
+            put_variable(rest, row, 3 * rest.stages, 1.0)
 
 
 @compiled
 def _add_order(plan: PlanTable, memory: WorldMemory, rest: Rest, k: int, now: float) -> None:
-    """Keep the windows, the order, and time at both ends."""
+    """Add the windows, the order, and time at both ends."""
     for i in range(rest.stages):
         knot = rest.chain[i]
         opens, closes = plan.knot[knot].opens, plan.knot[knot].closes
         inset = min(INSET, (closes - opens) / 4)
         # Never later than the impact was expected, if that is later than the reserve allows.
         latest = max(plan.horizon - max(RESERVE, RESERVE_SHARE * plan.horizon), memory.clock[k, knot])
-        row = _open_row(rest, min(closes - inset, latest))
-        _put_time(rest, row, i, 1.0)
+        row = open_row(rest, min(closes - inset, latest))
+        put_time(rest, row, i, 1.0)
         earliest = max(opens + inset, min(now + NOTICE, memory.clock[k, knot])) if i == 0 else opens + inset
-        row = _open_row(rest, -earliest)
-        _put_time(rest, row, i, -1.0)
+        row = open_row(rest, -earliest)
+        put_time(rest, row, i, -1.0)
         if i > 0:
             planned = plan.impact[knot].time - plan.impact[rest.chain[i - 1]].time
-            row = _open_row(rest, -min(GAP, planned))
-            _put_time(rest, row, i - 1, 1.0)
-            _put_time(rest, row, i, -1.0)
+            row = open_row(rest, -min(GAP, planned))
+            put_time(rest, row, i - 1, 1.0)
+            put_time(rest, row, i, -1.0)
 
 
 @compiled
 def _add_flights(plan: PlanTable, rest: Rest, limit: float) -> None:
-    """Keep the object's speed limit, and the legs before and after an impact in a cone round its planned normal."""
+    """Add the object's speed limit, and cones round the planned normals for the legs before and after an impact."""
     fastest = SHARE * limit
     for i in range(rest.stages):
         here, there = rest.chain[i], rest.chain[i + 1]
@@ -292,11 +185,11 @@ def _add_flights(plan: PlanTable, rest: Rest, limit: float) -> None:
             for side in range(2):
                 sign = 1.0 - 2.0 * side
                 x, y = (sign, 0.0) if axis == 0 else (0.0, sign)
-                row = _open_row(rest, 0.0)
-                _put_place(rest, row, i + 1, x, y)
-                _put_place(rest, row, i, -x, -y)
-                _put_time(rest, row, i + 1, -fastest)
-                _put_time(rest, row, i, fastest)
+                row = open_row(rest, 0.0)
+                put_place(rest, row, i + 1, x, y)
+                put_place(rest, row, i, -x, -y)
+                put_time(rest, row, i + 1, -fastest)
+                put_time(rest, row, i, fastest)
         dx = plan.knot[there].position[0] - plan.knot[here].position[0]
         dy = plan.knot[there].position[1] - plan.knot[here].position[1]
         if math.hypot(dx, dy) < SHORTEST_LEG:
@@ -308,21 +201,21 @@ def _add_flights(plan: PlanTable, rest: Rest, limit: float) -> None:
 
 @compiled
 def _add_cone(plan: PlanTable, rest: Rest, i: int, knot: int, sign: float, dx: float, dy: float) -> None:
-    """Keep leg i, or the way back along it, in the cone of an impact, unless the plan does not keep to it."""
+    """Add the cone of an impact for leg i, or for the way back along it, unless the plan itself leaves it."""
     nx, ny = plan.impact[knot].normal[0], plan.impact[knot].normal[1]
     if abs(-ny * dx + nx * dy) > WIDEST * (nx * dx + ny * dy):
         return
     for side in range(2):
         turn = 1.0 - 2.0 * side
         x, y = sign * (-turn * ny - WIDEST * nx), sign * (turn * nx - WIDEST * ny)
-        row = _open_row(rest, 0.0)
-        _put_place(rest, row, i + 1, x, y)
-        _put_place(rest, row, i, -x, -y)
+        row = open_row(rest, 0.0)
+        put_place(rest, row, i + 1, x, y)
+        put_place(rest, row, i, -x, -y)
 
 
 @compiled
 def _add_robots(plan: PlanTable, memory: WorldMemory, rest: Rest, k: int, o: int, now: float) -> None:
-    """Give every robot time to come to an impact from where it is or has to be, as the plan does at least."""
+    """Add the time that every robot needs to come to an impact from where it is or has to be, at most the plan's."""
     for i in range(rest.stages):
         knot, before = rest.chain[i], NO_STAGE
         r = plan.impact[knot].robot
@@ -341,7 +234,7 @@ def _add_robots(plan: PlanTable, memory: WorldMemory, rest: Rest, k: int, o: int
             ox, oy = _find_contact(plan, r, o, at, ox, oy)
             planned = plan.impact[knot].time - plan.impact[at].time
             row = _add_way(plan, rest, Way(r, i, (x, y), (cx - ox, cy - oy), 0.0, 1.0, planned))
-            _put_time(rest, row, before, 1.0)
+            put_time(rest, row, before, 1.0)
         for other in range(len(plan.first)):
             at = memory.strike[k, other].index
             while at != NO_IMPACT and other != o:
@@ -356,18 +249,17 @@ def _add_robots(plan: PlanTable, memory: WorldMemory, rest: Rest, k: int, o: int
 
 @compiled
 def _add_way(plan: PlanTable, rest: Rest, way: Way) -> int:
-    """Give a robot so much time between an impact and another place as its way takes: sign (t_i - time) >= tau(|way|).
+    """Add the time that a robot needs for a way, sign (t_i - time) >= tau(|way|); return the row.
 
-    tau grows ever more slowly with the way, so that its tangent at the way expected now is on the safe side.
-    Return the row.
+    tau is concave in the length of the way, so that its tangent at the way expected now is on the safe side.
     """
     d = max(math.hypot(way.vector[0], way.vector[1]), SHORTEST_WAY)
     tau = min(compute_time(plan, way.robot, d), way.longest)
     slope = tau / (2.0 * d) if tau < way.longest else 0.0
     ux, uy = slope * way.vector[0] / d, slope * way.vector[1] / d
-    row = _open_row(rest, ux * way.here[0] + uy * way.here[1] - tau - way.sign * way.time)
-    _put_time(rest, row, way.stage, -way.sign)
-    _put_place(rest, row, way.stage, ux, uy)
+    row = open_row(rest, ux * way.here[0] + uy * way.here[1] - tau - way.sign * way.time)
+    put_time(rest, row, way.stage, -way.sign)
+    put_place(rest, row, way.stage, ux, uy)
     return row
 
 

@@ -1,4 +1,4 @@
-"""Online replanning: the course of one robot to its coming impact, from the object as it is seen now; compiled."""
+"""Replan the course of one robot to its coming impact from the present estimate of the object; compiled."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ROTATION_RANGE = 0.3  # of the impulse, at correction 1 [rad]
 
 @compiled
 def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> None:
-    """Solve the two-body problem of robot r's impact on object o, from the object as it is seen now."""
+    """Solve the two-body problem of robot r's impact on object o from the present estimate of the object."""
     strike, body = memory.strike[k, o], plan.robots + o
     time = strike.time
     x, y, vx, vy = extrapolate_flight(memory, k, body, time)
@@ -122,10 +122,6 @@ def turn_to_centre(
     is turned away by more than 15 degrees it is counted.
 
     Args:
-        plan: what is believed.
-        memory: of all worlds.
-        k: world.
-        o: object.
         ahead: time until the impact [s].
         dx, dy: wished change [m/s].
 

@@ -76,7 +76,6 @@ def evaluate_curve(breaks: np.ndarray, coefficients: np.ndarray, r: int, t: floa
 
     Args:
         breaks, coefficients: of all robots, see `PlanTable`.
-        r: robot.
         t: time [s].
         left: at a breakpoint take the segment before it.
     """
@@ -115,7 +114,6 @@ def evaluate_course(course: np.record, breaks: np.ndarray, coefficients: np.ndar
     Args:
         course: a COURSE.
         breaks, coefficients: of all robots, see `PlanTable`.
-        r: robot.
         t: time, not before the course's start [s].
     """
     impact, until = course.ends_in_impact, course.until
@@ -204,7 +202,6 @@ def plan_approach(
     Args:
         course: a COURSE, written.
         breaks, coefficients: of all robots, see `PlanTable`.
-        r: robot.
         now: present time [s].
         begin: motion to start from.
         contact: where to be [m].
@@ -245,7 +242,6 @@ def return_to_plan(
     Args:
         course: a COURSE, written.
         breaks, coefficients: of all robots, see `PlanTable`.
-        r: robot.
         now: present time [s].
         begin: position and velocity to start from, with the plan's acceleration [m, m/s].
         tau: plan's time that belongs to the present [s].

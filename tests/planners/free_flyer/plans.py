@@ -15,7 +15,7 @@ from planners.free_flyer.belief.plan_table import make_plan_table
 from planners.free_flyer.belief.world_memory import NOBODY, make_world_memory
 from planners.free_flyer.closed_loop.world_loop import look_ahead, start_world
 from planners.free_flyer.next_impact.bookkeeping import take_contact
-from planners.free_flyer.next_impact.reoptimisation import make_rest_qp
+from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.plan import Plan, PlannedImpact
 
 K = 1  # the world that is played, of three

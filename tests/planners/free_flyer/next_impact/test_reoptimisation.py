@@ -21,7 +21,6 @@ from planners.free_flyer.next_impact.insertion import LONG_ASTRAY, SOON
 from planners.free_flyer.next_impact.reoptimisation import (
     GAP,
     INSET,
-    MOST_KNOTS,
     NOTICE,
     RESERVE,
     RESERVE_SHARE,
@@ -34,6 +33,7 @@ from planners.free_flyer.next_impact.reoptimisation import (
     WIDEST,
     reoptimise_rest,
 )
+from planners.free_flyer.next_impact.rest_qp import MOST_KNOTS
 from tests.planners.free_flyer.plans import Hit, K, World, load_open, make_straight_plan
 
 HORIZON, HIT, NOW = 100.0, 10.0, 10.0 + SETTLE
