@@ -11,10 +11,10 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.physics.impact import Impact
 from impact_envs.rollout import Episode, Policy
 from planners.bezier import Curve
-from planners.free_flyer.belief.estimator import extrapolate
-from planners.free_flyer.belief.world_memory import AGENT, COUNTERS, REPLANNED, TIME
+from planners.free_flyer.belief.estimator import extrapolate_flight
+from planners.free_flyer.belief.world_memory import COUNTERS
 from planners.free_flyer.expert import FreeFlyerExpert
-from planners.free_flyer.tracking.course import SINCE, UNTIL, evaluate_course
+from planners.free_flyer.tracking.course import evaluate_course
 from planners.plan import Plan, PlannedImpact
 
 WAY = 9  # samples of a way that a replan counts on
@@ -81,21 +81,21 @@ class FlightRecord:
     def _add_step(self, expert: FreeFlyerExpert, scenario: FreeFlyerScenario) -> None:
         table, memory = expert.table, expert.memory
         now, robots = float(memory.time[0]), list(scenario.robots)
-        grown = memory.counts[0] - self._counts
-        self._counts = memory.counts[0].copy()
+        counts = np.array(memory.counts[0].tolist())
+        grown, self._counts = counts - self._counts, counts
         self.events += [(now, name) for name, n in zip(COUNTERS, grown, strict=True) for _ in range(n)]
         for r, name in enumerate(robots):
-            motion = evaluate_course(memory.course, table.breaks, table.coefficients, 0, r, now)
-            self._courses.setdefault(name, []).append((now, *motion[:4]))
             course = memory.course[0, r]
-            if course[SINCE] == now < course[UNTIL]:
+            motion = evaluate_course(course, table.breaks, table.coefficients, r, now)
+            self._courses.setdefault(name, []).append((now, *motion[:4]))
+            if course["since"] == now < course["until"]:
                 self.replans.append((now, name))
         for o, (name, strike) in enumerate(zip(scenario.objects, memory.strike[0], strict=True)):
-            if strike[REPLANNED] != now:
+            if strike["replanned_at"] != now:
                 continue
-            times = np.linspace(now, strike[TIME], WAY)
-            way = [(t, *extrapolate(memory, 0, table.robots + o, t)[:2]) for t in times]
-            self.expectations.append(Expectation(robots[int(strike[AGENT])], name, np.array(way)))
+            times = np.linspace(now, strike["time"], WAY)
+            way = [(t, *extrapolate_flight(memory, 0, table.robots + o, t)[:2]) for t in times]
+            self.expectations.append(Expectation(robots[strike["robot"]], name, np.array(way)))
 
 
 def convert_episode(scenario: FreeFlyerScenario, episode: Episode) -> Plan:

@@ -14,27 +14,16 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, observed_order
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.rollout import Diagnostics
-from planners.free_flyer.belief.estimator import extrapolate
+from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.impact_parameters import NOW, compute_gain_spread, compute_pair_gain, find_row, get_pair
 from planners.free_flyer.belief.options import Options, encode_options, get_options
-from planners.free_flyer.belief.plan_table import END, MASS, PLACE_X, PLACE_Y, ROBOT, make_plan_table
-from planners.free_flyer.belief.world_memory import (
-    AGENT,
-    COUNTERS,
-    IMPACT_INDEX,
-    INSERTED,
-    RATIO,
-    SCALE,
-    SEEN,
-    TIME,
-    TURN,
-    make_world_memory,
-)
+from planners.free_flyer.belief.plan_table import NO_IMPACT, make_plan_table
+from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
 from planners.free_flyer.closed_loop.world_loop import ADOPT, APPLY, CONTROL, OBSERVE, PREPARE, START, run_experts
 from planners.free_flyer.impact_law import compute_velocity_gain
-from planners.free_flyer.next_impact.desired_velocity import aim, find_next_knot
-from planners.free_flyer.next_impact.reoptimisation import make_program
+from planners.free_flyer.next_impact.desired_velocity import choose_desired_velocity, find_next_knot
+from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
 from planners.free_flyer.tracking.problem import build_tracking_problem
 from planners.free_flyer.tracking.protocol import Tracker, call_tracker
@@ -42,7 +31,7 @@ from planners.free_flyer.tracking.trackers import find_tracker
 from planners.plan import Plan
 
 ONE_HOT = 6
-# What is no fallback of the expert but its daily work.
+# Counters of normal operation, not counted as fallbacks.
 ROUTINE = ("replans", "retimed", "reoptimised", "planned_anew", "avoided")
 
 
@@ -133,10 +122,10 @@ class FreeFlyerExpert:
         period = scenario.control_period
         self._problems = {name: build_tracking_problem(robot, period) for name, robot in self._scenario.robots.items()}
         self._joint = np.zeros((1, BODY_SIZE * bodies + robots + TAIL_SIZE - 1))
-        self._actions, self._due = np.zeros((1, robots, 3)), np.full(1, END)
+        self._actions, self._due = np.zeros((1, robots, 3)), np.full(1, NO_OBJECT)
         self._planned = self.table
         self._background = Background(self._scenario)
-        tables = self.memory, encode_options(self.options), self.workspace, make_program()
+        tables = self.memory, encode_options(self.options), self.workspace, make_rest_qp()
         self._arrays = tuple(tuple(table) for table in tables)
         place = {name: i for i, name in enumerate(scenario.bodies)}
         self._order = [place[name] for name in observed_order(scenario, scenario.agents[0])]
@@ -152,7 +141,7 @@ class FreeFlyerExpert:
         """
         self._seconds, self._solve_seconds = 0.0, list[float]()
         self.table = self._planned
-        self._background.forget(0)
+        self._background.forget_world(0)
         if self._tracker is not None:
             self._tracker.reset(self._problems)
         self._run(START)
@@ -177,7 +166,7 @@ class FreeFlyerExpert:
             observations: robot to its observation.
         """
         if self.options.plan_anew:
-            table = self._background.look(self.table, self.memory, 0)
+            table = self._background.poll_plan(self.table, self.memory, 0)
             if table is not None:
                 self.table = table
                 self._run(ADOPT)
@@ -197,7 +186,7 @@ class FreeFlyerExpert:
     @property
     def awaiting_correction(self) -> bool:
         """Return whether the next `control` will use up a new correction; once per planned impact."""
-        return bool(self._due[0] != END)
+        return bool(self._due[0] != NO_OBJECT)
 
     def correct(self, correction: np.ndarray) -> None:
         """Set the correction of the coming impact.
@@ -216,7 +205,7 @@ class FreeFlyerExpert:
         if not self.awaiting_correction:
             raise InputError("no correction is awaited now; see awaiting_correction")
         strike = self.memory.strike[0, self._due[0]]
-        strike[SCALE], strike[TURN] = np.clip(values, -1.0, 1.0)
+        strike["scale"], strike["turn"] = np.clip(values, -1.0, 1.0)
 
     def features(self) -> np.ndarray:
         """Return what a learner may see of the coming impact (of the one a correction is awaited for, if any).
@@ -230,35 +219,35 @@ class FreeFlyerExpert:
             estimated drift of the object (2) [m/s^2]. Zeros when no impact is to come.
         """
         table, memory, o = self.table, self.memory, int(self._due[0])
-        if o == END:
-            times = memory.strike[0, :, TIME]
-            o = int(np.argmin(times))
+        if o == NO_OBJECT:
+            o = int(np.argmin(memory.strike["time"][0]))
         strike = memory.strike[0, o]
-        index = int(strike[IMPACT_INDEX])
-        if index == END:
+        index, time, r = int(strike["index"]), float(strike["time"]), int(strike["robot"])
+        if index == NO_IMPACT:
             return np.zeros(self.feature_size)
         planned, body = table.impact[index], table.robots + o
-        x, y, vx, vy = extrapolate(memory, 0, body, strike[TIME])
-        wish = np.array(aim(table, memory, self.options, 0, o))
+        x, y, vx, vy = extrapolate_flight(memory, 0, body, time)
+        wish = np.array(choose_desired_velocity(table, memory, self.options, 0, o))
         one_hot = np.zeros(ONE_HOT)
         one_hot[min(index, ONE_HOT - 1)] = 1.0
-        _, due, _ = find_next_knot(table, memory, 0, o, strike[INSERTED] > 0.0)
-        hit, z = memory.hit[0, o], memory.filter[0]
-        now, r = memory.time[0], int(strike[AGENT])
-        believed = compute_velocity_gain(table.restitution, table.body[r, MASS], table.body[body, MASS])
+        _, due, _ = find_next_knot(table, memory, 0, o, bool(strike["is_inserted"]))
+        now, hit, z = memory.time[0], memory.hit[0, o], memory.filter[0, body]
+        robot, mass = memory.filter[0, planned["robot"]], table.body["mass"]
+        believed = compute_velocity_gain(table.restitution, mass[r], mass[body])
         factor = compute_pair_gain(memory, 0, r, o) / believed
         return np.concatenate(
             [
                 one_hot,
-                [now / table.horizon, strike[TIME] - now, due - strike[TIME]],
-                [x - planned[PLACE_X], y - planned[PLACE_Y]],
-                z[body, 2:4],
+                [now / table.horizon, time - now, due - time],
+                [x, y] - planned["position"],
+                z["velocity"],
                 wish,
                 wish - [vx, vy],
-                [hit[RATIO] or 1.0, hit[SEEN]],
-                z[int(planned[ROBOT]), :4] - z[body, :4],
+                [hit["ratio"] or 1.0, hit["seen"]],
+                robot["position"] - z["position"],
+                robot["velocity"] - z["velocity"],
                 [factor, factor * compute_gain_spread(memory, 0, r, o)],
-                z[body, 4:6],
+                z["drift"],
             ]
         )
 
@@ -269,7 +258,7 @@ class FreeFlyerExpert:
             for o, item in enumerate(self._scenario.objects):
                 restitution, ratio = get_pair(self.memory, 0, r, o)
                 i = find_row(self.memory, r, o)
-                variances = self.memory.pair[0, NOW, [i, i + 1], [1 + i, 2 + i]]
+                variances = self.memory.pair_covariance[0, NOW, [i, i + 1], [i, i + 1]]
                 spread = np.sqrt(np.maximum(variances, 0.0))
                 found[robot, item] = PairEstimate(restitution, ratio, float(spread[0]), float(ratio * spread[1]))
         return found
@@ -288,7 +277,7 @@ class FreeFlyerExpert:
                 self._run(PREPARE, r)
                 call_tracker(self._tracker, name, self.workspace, r)
                 self._run(APPLY, r)
-        self._due[0] = END
+        self._due[0] = NO_OBJECT
         self._solve_seconds.append(self._seconds + time.perf_counter() - begin)
         return dict(zip(self._scenario.agents, self._actions[0].copy(), strict=True))
 

@@ -12,12 +12,12 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.free_flyer.belief.options import Options, encode_options, get_options
-from planners.free_flyer.belief.plan_table import END, PlanTable, make_plan_table
-from planners.free_flyer.belief.world_memory import COUNTERS, make_world_memory
+from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table
+from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
 from planners.free_flyer.closed_loop.world_loop import ACT, ADOPT, run_experts
 from planners.free_flyer.expert import check_plan
-from planners.free_flyer.next_impact.reoptimisation import make_program
+from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
 from planners.free_flyer.tracking.protocol import Tracker
 from planners.free_flyer.tracking.trackers import check_compiled
@@ -64,16 +64,16 @@ class FreeFlyerExpertBatch:
         self._threads = min(threads, count)
         chosen = get_options(variant) if options is None else options
         chosen = chosen._replace(tracker=check_compiled(chosen.tracker if tracker is None else tracker))
-        workspace, program = make_workspace(self._threads), make_program(self._threads)
+        workspace, qp = make_workspace(self._threads), make_rest_qp(self._threads)
         self._plan_anew = chosen.plan_anew
-        self._arrays = tuple(self.memory), encode_options(chosen), tuple(workspace), tuple(program)
-        self._due = np.full(count, END)
+        self._arrays = tuple(self.memory), encode_options(chosen), tuple(workspace), tuple(qp)
+        self._due = np.full(count, NO_OBJECT)
         self._pool: ThreadPoolExecutor | None = None
 
     @property
     def counts(self) -> dict[str, np.ndarray]:
         """Return how often what happened since each world's start, name to shape (N,)."""
-        return dict(zip(COUNTERS, self.memory.counts.T, strict=True))
+        return {name: self.memory.counts[name] for name in COUNTERS}
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Return every world's joint action.
@@ -93,11 +93,11 @@ class FreeFlyerExpertBatch:
         actions = np.empty((self.count, self.robots, 3))
         for k in np.flatnonzero(joint[:, self.size - 3] == 0.0).tolist():  # starts anew
             self._own.pop(k, None)
-            self._background.forget(k)
+            self._background.forget_world(k)
             self.memory.wanted[k] = np.inf
         if self._plan_anew:
             for k in self._background.find_busy(self.memory).tolist():
-                table = self._background.look(self._own.get(k, self._table), self.memory, k)
+                table = self._background.poll_plan(self._own.get(k, self._table), self.memory, k)
                 if table is not None:
                     self._own[k] = table
                     self._run(table, joint, actions, ADOPT, 0, k, k + 1)

@@ -18,7 +18,8 @@ class Options(NamedTuple):
         learn: estimate restitution and mass from what impacts did.
         retime: move an impact to when the object is where it should be hit, and try a missed one again.
         drift: a constant unknown acceleration of every object in its filter.
-        insert: hit once more where the object would miss its next knot or leave its goal, and catch gently.
+        insert: add an unplanned impact when the object would miss its next knot or leave its goal; slow it gently
+            at the goal.
         reoptimise: choose times and places of the impacts that are left anew after each one.
         plan_anew: plan the rest in the background, with who hits what open, where that fails.
         avoid: keep off bodies that are not to be hit.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,14 +13,54 @@ from planners.free_flyer.tracking.course import convert_curve
 from planners.free_flyer.tracking.problem import build_tracking_problem
 from planners.plan import Plan
 
-# Columns of PlanTable.body.
-START_X, START_Y, HOME, MASS, RADIUS, SPEED, KEEPS, START_VX, START_VY = range(9)
-# Columns of PlanTable.impact.
-AT, ROBOT, OBJECT, PLACE_X, PLACE_Y, NORMAL_X, NORMAL_Y, NEXT, KNOT = range(9)
-# Columns of PlanTable.knot.
-KNOT_X, KNOT_Y, OPEN, CLOSE, DEPTH, FACES = range(6)
+NO_IMPACT = -1
 TOUCHING = 0.1  # touching a wall counts as so far inside of what a robot may not leave [m]
-END = -1  # of an object's impacts
+
+BODY = np.dtype(
+    [
+        ("start", float, 2),  # [m]
+        ("start_velocity", float, 2),  # [m/s]
+        ("heading", float),  # at the start [rad]
+        ("mass", float),  # [kg]
+        ("radius", float),  # [m]
+        ("speed_limit", float),  # per axis [m/s]
+        ("keep_force", float),  # by which an object keeps its velocity [N]
+    ]
+)
+IMPACT = np.dtype(
+    [
+        ("time", float),  # [s]
+        ("robot", int),  # that hits
+        ("body", int),  # that is hit; object o is body robots + o
+        ("position", float, 2),  # of that body [m]
+        ("normal", float, 2),  # unit vector from robot to body
+        ("next", int),  # impact of that body, or NO_IMPACT
+    ]
+)
+# What an object owes the formula at an impact, or at its end.
+KNOT = np.dtype(
+    [
+        ("position", float, 2),  # planned [m]
+        ("opens", float),  # window of time [s]
+        ("closes", float),
+        ("depth", float),  # planned distance to the nearest face, inf without faces [m]
+        ("faces", int),  # number of faces
+    ]
+)
+# The points p with normal . p <= offset.
+HALF_PLANE = np.dtype(
+    [
+        ("normal", float, 2),  # outward unit vector
+        ("offset", float),  # [m]
+    ]
+)
+# Where a frictionless hit acts through the centre of an object that is no disc.
+SIDE = np.dtype(
+    [
+        ("direction", float, 2),  # unit vector from the centre, in the body frame
+        ("distance", float),  # from the centre, 0: no side [m]
+    ]
+)
 
 
 class PlanTable(NamedTuple):
@@ -30,17 +71,15 @@ class PlanTable(NamedTuple):
         horizon: [s].
         restitution: believed.
         robots: r.
-        body: KEEPS: force by which an object keeps its velocity [N], shape (n, 9).
-        impact: index NEXT of the object's next impact, or END; index KNOT of its knot, shape (K, 9).
-        first: first impact of each object, or END, shape (objects,).
-        knot: of each impact, then of the end of each object: position, window, margin of the plan, number of faces,
-            shape (K + objects, 6).
-        face: rows (H, b) of each knot, H p <= b, shape (K + objects, f, 3).
-        own: rows (H, b) of the areas a robot may not leave, shape (r, g, 3), filled up by 0 p <= 1.
+        body: BODY of every body, shape (n,).
+        impact: IMPACT, shape (K,).
+        first: first impact of each object, or NO_IMPACT, shape (objects,).
+        knot: KNOT of each impact, then of the end of each object, shape (K + objects,).
+        face: HALF_PLANE that a knot demands, shape (K + objects, f).
+        own: HALF_PLANE that a robot may not leave, filled up by 0 . p <= 1, shape (r, g).
         breaks: breakpoints of the robots' curves, filled up by inf, shape (r, S + 1) [s].
         coefficients: of their segments in power basis, shape (r, S, d + 1, 2) [m].
-        side: of each object that is no disc, where a frictionless hit acts through its centre: unit vector from the
-            centre in the body frame and distance; no rows filled up by distance 0, shape (objects, d, 3).
+        side: SIDE of each object that is no disc, shape (objects, d).
         pilot: of each robot's tracking problem, shape (r, 33).
     """
 
@@ -68,45 +107,18 @@ def make_plan_table(scenario: FreeFlyerScenario, plan: Plan, begin: float = 0.0)
         plan: to execute.
         begin: when the scenario and the plan begin [s].
     """
-    names = scenario.bodies
-    bodies = [scenario.body(name) for name in names]
-    rows = [
-        (
-            *body.start,
-            body.heading,
-            body.mass,
-            body.radius,
-            body.speed_limit,
-            getattr(body, "keep_force", 0.0),
-            *body.start_velocity,
-        )
-        for body in bodies
-    ]
-    impact, first, knots = _make_impacts(scenario, plan)
-    faces = max((len(knot.faces) for knot in knots), default=0)
-    face = np.zeros((len(knots), max(faces, 1), 3))
-    knot_rows = np.zeros((len(knots), 6))
-    for i, knot in enumerate(knots):
-        for j, row in enumerate(knot.faces):
-            face[i, j] = row / np.hypot(*row[:2])
-        margins = [row[2] - row[:2] @ knot.position for row in face[i, : len(knot.faces)]]
-        knot_rows[i] = (
-            *knot.position,
-            *(begin + time for time in knot.window),
-            min(margins, default=np.inf),
-            len(knot.faces),
-        )
-    impact[:, AT] += begin
+    impact, first, knots = _make_impacts(scenario, plan, begin)
+    knot, face = _make_knots(knots, begin)
     breaks, coefficients = _make_curves(scenario, plan)
     return PlanTable(
         float(scenario.control_period),
         begin + float(plan.horizon),
         float(scenario.believed.restitution),
         len(scenario.robots),
-        np.array(rows, dtype=float),
+        _make_bodies(scenario),
         impact,
         first,
-        knot_rows,
+        knot,
         face,
         _make_own_faces(scenario),
         begin + breaks,
@@ -116,21 +128,50 @@ def make_plan_table(scenario: FreeFlyerScenario, plan: Plan, begin: float = 0.0)
     )
 
 
-def _make_impacts(scenario: FreeFlyerScenario, plan: Plan) -> tuple[np.ndarray, np.ndarray, list[Knot]]:
+def _make_bodies(scenario: FreeFlyerScenario) -> np.ndarray:
+    bodies = [scenario.body(name) for name in scenario.bodies]
+    table = np.zeros(len(bodies), BODY)
+    for row, body in zip(table, bodies, strict=True):
+        row["start"], row["start_velocity"], row["heading"] = body.start, body.start_velocity, body.heading
+        row["mass"], row["radius"], row["speed_limit"] = body.mass, body.radius, body.speed_limit
+        row["keep_force"] = getattr(body, "keep_force", 0.0)
+    return table
+
+
+def _make_impacts(scenario: FreeFlyerScenario, plan: Plan, begin: float) -> tuple[np.ndarray, np.ndarray, list[Knot]]:
     place = {name: i for i, name in enumerate(scenario.bodies)}
-    impact, first = np.zeros((len(plan.impacts), 9)), np.full(len(scenario.objects), END)
+    impact, first = np.zeros(len(plan.impacts), IMPACT), np.full(len(scenario.objects), NO_IMPACT)
     knots: dict[int, Knot] = {}
     for o, name in enumerate(scenario.objects):
         mine = [k for k, planned in enumerate(plan.impacts) if planned.object == name]
         found = find_knots(scenario, plan, name)
-        first[o] = mine[0] if mine else END
-        for k, after, knot in zip(mine, [*mine[1:], END], found, strict=False):
-            planned = plan.impacts[k]
-            where = place[planned.robot], place[name]
-            impact[k] = planned.time, *where, *planned.position, *planned.normal, after, k
+        first[o] = mine[0] if mine else NO_IMPACT
+        for k, after, knot in zip(mine, [*mine[1:], NO_IMPACT], found, strict=False):
+            planned, row = plan.impacts[k], impact[k]
+            row["time"] = planned.time + begin
+            row["robot"], row["body"], row["next"] = place[planned.robot], place[name], after
+            row["position"], row["normal"] = planned.position, planned.normal
             knots[k] = knot
         knots[len(plan.impacts) + o] = found[-1]
     return impact, first, [knots[i] for i in range(len(knots))]
+
+
+def _make_knots(knots: list[Knot], begin: float) -> tuple[np.ndarray, np.ndarray]:
+    most = max((len(knot.faces) for knot in knots), default=0)
+    table, face = np.zeros(len(knots), KNOT), np.zeros((len(knots), max(most, 1)), HALF_PLANE)
+    for row, faces, knot in zip(table, face, knots, strict=True):
+        _write_half_planes(faces, knot.faces)
+        margins = [plane["offset"] - plane["normal"] @ knot.position for plane in faces[: len(knot.faces)]]
+        row["position"], row["depth"], row["faces"] = knot.position, min(margins, default=np.inf), len(knot.faces)
+        row["opens"], row["closes"] = (begin + time for time in knot.window)
+    return table, face
+
+
+def _write_half_planes(planes: np.ndarray, rows: Sequence[np.ndarray]) -> None:
+    """Write rows (H, b) of H p <= b, scaled to unit normals."""
+    for plane, row in zip(planes, rows, strict=False):
+        unit = row / np.hypot(*row[:2])
+        plane["normal"], plane["offset"] = unit[:2], unit[2]
 
 
 def _make_curves(scenario: FreeFlyerScenario, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
@@ -147,11 +188,10 @@ def _make_curves(scenario: FreeFlyerScenario, plan: Plan) -> tuple[np.ndarray, n
 
 def _make_own_faces(scenario: FreeFlyerScenario) -> np.ndarray:
     found = [[*find_own_faces(scenario, name), *_find_walls(scenario, name)] for name in scenario.robots]
-    own = np.zeros((len(found), max(len(faces) for faces in found), 3))
-    own[:, :, 2] = 1.0
-    for i, faces in enumerate(found):
-        for j, row in enumerate(faces):
-            own[i, j] = row / np.hypot(*row[:2])
+    own = np.zeros((len(found), max(len(faces) for faces in found)), HALF_PLANE)
+    own["offset"] = 1.0
+    for planes, faces in zip(own, found, strict=True):
+        _write_half_planes(planes, faces)
     return own
 
 
@@ -165,17 +205,17 @@ def _find_walls(scenario: FreeFlyerScenario, name: str) -> list[np.ndarray]:
 
 def _make_sides(scenario: FreeFlyerScenario) -> np.ndarray:
     found = [find_central_hits(np.array(item.vertices or ())) for item in scenario.objects.values()]
-    sides = np.zeros((len(found), max(map(len, found), default=0), 3))
-    for i, rows in enumerate(found):
-        sides[i, : len(rows)] = rows
+    sides = np.zeros((len(found), max(map(len, found), default=0)), SIDE)
+    for row, hits in zip(sides, found, strict=True):
+        row["direction"][: len(hits)], row["distance"][: len(hits)] = hits[:, :2], hits[:, 2]
     return sides
 
 
 def find_central_hits(vertices: np.ndarray) -> np.ndarray:
-    """Return where a disc that touches a convex polygon without friction pushes it through its centre, the origin.
+    """Return the contact points where a frictionless disc's push passes through a convex polygon's centre, the origin.
 
-    On an edge that is the foot of the perpendicular from the origin, at a corner the line through it, if it lies in
-    the cone of the neighbouring edges' normals.
+    On an edge it is the foot of the perpendicular from the origin; a corner is one if the line through it lies in the
+    cone of the neighbouring edges' normals.
 
     Args:
         vertices: counter-clockwise, shape (v, 2) [m].

@@ -1,4 +1,8 @@
-"""What the compiled expert remembers of every world: estimates, courses, coming impacts."""
+"""What the compiled expert remembers of every world: estimates, courses, coming impacts.
+
+Compiled functions name their arguments alike: `plan`: the table that is followed, `memory`: of all worlds, `k`: world,
+`i`, `j`: bodies, `r`: robot, `o`: object (body robots + o), `c`: thread, `z`: a FILTER, `now`: present time [s].
+"""
 
 from __future__ import annotations
 
@@ -8,78 +12,112 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
-from planners.free_flyer.belief.plan_table import AT, END, NEXT, ROBOT, PlanTable
-from planners.free_flyer.tracking.course import COURSE_SIZE, IMPACT
+from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
+from planners.free_flyer.tracking.course import COURSE
 from planners.free_flyer.tracking.mpc import STAGES
 
-FILTER_SIZE, SENSOR_SIZE = 12, 4
-# Columns of strike, the coming impact of an object. IMPACT_INDEX: in the plan, or END if none is left;
-# INSERTED: 1 if it is none of the plan; AGENT: robot that hits; SCALE, TURN: correction of the impulse; SOLVED: 1 if
-# the two-body problem was solved; LAST: time of the object's last contact; LOOKED, OPTIMISED: times of
-# the last retiming and re-optimisation; ASTRAY: since when it misses its next knot with nobody to mend it, or inf.
-(
-    IMPACT_INDEX,
-    INSERTED,
-    AGENT,
-    TIME,
-    MISSES,
-    REPLANNED,
-    SCALE,
-    TURN,
-    DECIDED,
-    SOLVED,
-    LAST,
-    LOOKED,
-    EXTRA,
-    OUTCOME,
-    CHANGE,
-    N_X,
-    N_Y,
-    CONTACT_X,
-    CONTACT_Y,
-    MINUS_X,
-    MINUS_Y,
-    PLUS_X,
-    PLUS_Y,
-    OBJECT_X,
-    OBJECT_Y,
-    REFERENCE_X,
-    REFERENCE_Y,
-    OPTIMISED,
-    ASTRAY,
-    STRIKE_SIZE,
-) = range(30)
-# Columns of felt, the last contact of a robot: estimated approach speed, normal, velocity of the robot without
-# it, variances of the velocities of object and robot before it.
-APPROACH, HIT_X, HIT_Y, FREE_X, FREE_Y, OBJECT_ERROR, ROBOT_ERROR, FELT_SIZE = range(8)
-# Columns of hit, the last impact of an object, after those of WorldMemory.felt. PENDING: 1 while it is observed;
-# HIT_BY: robot; BEFORE: velocity before it; LATEST: velocity a step ago; RATIO: observed over commanded change at the
-# last impact, 0 before any; SEEN: number of observations; GAINED: change of the object's velocity along the normal,
-# GAINED_VARIANCE 0 before it is seen; LEARNED: when it was; RECOIL: change of the robot's against the normal; SPENT:
-# change of its velocity by thrust since then; WATCHED: until when.
-(
-    PENDING,
-    HIT_AT,
-    HIT_BY,
-    BEFORE_X,
-    BEFORE_Y,
-    LATEST_X,
-    LATEST_Y,
-    COMMANDED,
-    RATIO,
-    SEEN,
-    GAINED,
-    GAINED_VARIANCE,
-    LEARNED,
-    RECOIL,
-    RECOIL_VARIANCE,
-    SPENT,
-    WATCHED,
-    HIT_SIZE,
-) = range(FELT_SIZE, FELT_SIZE + 18)
-# Columns of sensor.
-SIGMA, WEIGHT, SQUARE, SAMPLES = range(SENSOR_SIZE)
-# Columns of counts.
+NO_OBJECT, NO_ROBOT = -1, -1
+NOBODY, UNKNOWN = -2, -1  # in WorldMemory.touch: touched nothing; touched something, but nothing is near
+
+# The estimate of one body, a Kalman filter. Both axes share one covariance.
+FILTER = np.dtype(
+    [
+        ("position", float, 2),  # [m]
+        ("velocity", float, 2),  # [m/s]
+        ("drift", float, 2),  # constant unknown acceleration [m/s^2]
+        ("P_pp", float),  # covariance of position p, velocity v and acceleration a per axis
+        ("P_pv", float),
+        ("P_pa", float),
+        ("P_vv", float),
+        ("P_va", float),
+        ("P_aa", float),
+    ]
+)
+HEADING = np.dtype(
+    [
+        ("angle", float),  # [rad]
+        ("rate", float),  # [rad/s]
+    ]
+)
+# What is learned of the noise of measured positions.
+SENSOR = np.dtype(
+    [
+        ("sigma", float),  # standard deviation [m]
+        ("weight", float),  # of the samples so far
+        ("square", float),  # weighted sum of their squares [m^2]
+        ("samples", int),  # positions in a row in which nothing happened, at most 3
+    ]
+)
+# The impact that an object waits for.
+STRIKE = np.dtype(
+    [
+        ("index", int),  # of the impact in the plan, or NO_IMPACT
+        ("robot", int),  # that hits, or NO_ROBOT
+        ("time", float),  # when it is expected, inf if none is left [s]
+        ("is_inserted", bool),  # it is not in the plan; the planned one, index, comes later
+        ("insertions", int),  # impacts on this object that the plan does not have
+        ("misses", int),  # how often it was tried in vain
+        ("is_decided", bool),  # its correction was asked for
+        ("scale", float),  # correction of the impulse's size, in [-1, 1]
+        ("turn", float),  # correction of the impulse's direction, in [-1, 1]
+        ("reference_normal", float, 2),  # direction of the impulse as planned, a unit vector
+        # The solution of its two-body problem.
+        ("is_solved", bool),
+        ("outcome", int),  # a two_body.Outcome
+        ("change", float),  # of the object's velocity, its size [m/s]
+        ("normal", float, 2),  # unit vector from robot to object
+        ("contact", float, 2),  # centre of the robot [m]
+        ("robot_minus", float, 2),  # velocity of the robot just before and after [m/s]
+        ("robot_plus", float, 2),
+        ("object_minus", float, 2),  # velocity of the object just before [m/s]
+        # Times [s] at which something happened last.
+        ("last_contact", float),  # the object was touched
+        ("looked_at", float),  # it was asked whether the impact should be moved, or one inserted
+        ("optimised_at", float),  # the rest of the plan was optimised
+        ("replanned_at", float),  # the robot's course was planned
+        ("astray_since", float),  # the object misses its next knot and no robot can mend it; inf if all is well
+    ],
+    align=True,
+)
+# A contact that a robot felt, as the filters saw it.
+CONTACT = np.dtype(
+    [
+        ("approach", float),  # speed of the robot towards the body [m/s]
+        ("normal", float, 2),  # unit vector from robot to body
+        ("free_velocity", float, 2),  # of the robot, had there been no contact [m/s]
+        ("object_variance", float),  # of the velocities of object and robot before it [m^2/s^2]
+        ("robot_variance", float),
+    ]
+)
+# The last impact of an object.
+HIT = np.dtype(
+    [
+        ("contact", CONTACT),
+        ("is_pending", bool),  # it is still observed
+        ("time", float),  # [s]
+        ("robot", int),  # that hit
+        ("before", float, 2),  # velocity of the object before it [m/s]
+        ("latest", float, 2),  # velocity of the object a control period ago [m/s]
+        ("commanded", float),  # change of the object's velocity that was asked for [m/s]
+        ("ratio", float),  # observed over commanded change, 0 before any
+        ("seen", int),  # number of impacts whose ratio was observed
+        ("gained", float),  # change of the object's velocity along the normal [m/s]
+        ("gained_variance", float),  # 0 before it is seen [m^2/s^2]
+        ("learned_at", float),  # when it was seen [s]
+        ("recoil", float),  # change of the robot's velocity against the normal [m/s]
+        ("recoil_variance", float),  # [m^2/s^2]
+        ("thrust", float),  # change of the robot's velocity by thrust since then, the way's length [m/s]
+        ("watched_at", float),  # when the recoil was looked at last, inf if it is over [s]
+    ],
+    align=True,
+)
+# The inputs that are left of the last MPC that was solved.
+SHIFTED = np.dtype(
+    [
+        ("inputs", float, (STAGES, 3)),  # [N, N, N m]
+        ("count", int),  # of the stages that are left
+    ]
+)
 COUNTERS = (
     "replans",
     "retry",
@@ -99,28 +137,13 @@ COUNTERS = (
     "planned_anew",
     "no_plan",
 )
-(
-    REPLANS,
-    RETRY,
-    GIVE_UP,
-    LOST,
-    UNPLANNED,
-    INSERTS,
-    RETIMED,
-    SHIFTED_PLAN,
-    LQR,
-    NO_MEASUREMENT,
-    AVOIDED,
-    OFF_CENTRE,
-    REOPTIMISED,
-    NO_OPTIMUM,
-    STRANDED,
-    PLANNED_ANEW,
-    NO_PLAN,
-) = range(len(COUNTERS))
+COUNTS = np.dtype([(name, np.int64) for name in COUNTERS])
+# Assigning one of these clears a record.
+BLANK_FILTER, BLANK_STRIKE, BLANK_HIT, BLANK_COURSE, BLANK_COUNTS = (
+    np.zeros((), dtype)[()] for dtype in (FILTER, STRIKE, HIT, COURSE, COUNTS)
+)
 SPARE = 6  # impacts that a new plan may have beyond those of the first one
 PAST_PERIOD = 0.5  # [s]
-NOBODY, UNKNOWN = -2, -1  # in WorldMemory.touch
 
 
 class WorldMemory(NamedTuple):
@@ -128,26 +151,28 @@ class WorldMemory(NamedTuple):
 
     Attributes:
         time: of the last measurement, shape (N,) [s].
-        filter: of every body, see ``estimator``, shape (N, n, 12).
-        heading: angle and angular velocity, shape (N, n, 2) [rad, rad/s].
-        recent: the last three measured positions of the objects, shape (N, m, 6) [m].
-        sensor: what is learned of the noise, shape (N, 4).
+        filter: FILTER of every body, shape (N, n).
+        heading: HEADING of every body, shape (N, n).
+        recent: the last three measured positions of the objects, oldest first, shape (N, m, 3, 2) [m].
+        sensor: SENSOR, shape (N,).
         push: commanded acceleration of the robots since the last measurement, shape (N, r, 2) [m/s^2].
         touch: body that each robot touched, UNKNOWN or NOBODY, shape (N, r).
-        course: of the robots, shape (N, r, 19).
-        strike: coming impact of each object, shape (N, m, 29).
-        felt: last contact of each robot, shape (N, r, 7).
-        hit: last impact of each object, shape (N, m, 24).
-        pair: restitution and log mass ratio of each pair of robot and object, now and without the hits that are still
-            observed: mean, covariance, and two columns for computing, shape (N, 2, 2 r m, 2 r m + 3).
+        course: COURSE of every robot, shape (N, r).
+        strike: STRIKE of every object, shape (N, m).
+        felt: last CONTACT of every robot, shape (N, r).
+        hit: HIT of every object, shape (N, m).
+        pair_mean: restitution and log mass ratio of each pair of robot and object; NOW: with the hits that are still
+            observed, KNOWN: without them; shape (N, 2, 2 r m).
+        pair_covariance: of these numbers, shape (N, 2, 2 r m, 2 r m).
+        pair_share: scratch: their covariance with two observed changes, shape (N, 2, 2 r m, 2).
         velocity_error: learned variance of each body's velocity after a control period, beyond that of its filter,
             shape (N, n) [m^2/s^2].
         clock: expected times of the planned impacts, shape (N, K + 6) [s].
         place: wanted positions of the knots, shape (N, K + 6 + m, 2) [m].
-        shifted: inputs left of the last successful MPC, and how many, shape (N, r, 31).
+        shifted: SHIFTED of every robot, shape (N, r).
         past: estimated positions every half second, shape (N, H, n, 2) [m].
         wanted: when a new plan was first found to be needed, inf if it is not, shape (N,) [s].
-        counts: of what happened, see COUNTERS, shape (N, 17).
+        counts: how often what happened, a COUNTS, shape (N,).
     """
 
     time: np.ndarray
@@ -161,7 +186,9 @@ class WorldMemory(NamedTuple):
     strike: np.ndarray
     felt: np.ndarray
     hit: np.ndarray
-    pair: np.ndarray
+    pair_mean: np.ndarray
+    pair_covariance: np.ndarray
+    pair_share: np.ndarray
     velocity_error: np.ndarray
     clock: np.ndarray
     place: np.ndarray
@@ -179,61 +206,57 @@ def make_world_memory(plan: PlanTable, count: int) -> WorldMemory:
         count: N.
     """
     n, r, planned = len(plan.body), plan.robots, len(plan.impact) + SPARE
+    objects = n - r
+    pairs = 2 * r * objects
     return WorldMemory(
         time=np.zeros(count),
-        filter=np.zeros((count, n, FILTER_SIZE)),
-        heading=np.zeros((count, n, 2)),
-        recent=np.zeros((count, n - r, 6)),
-        sensor=np.zeros((count, SENSOR_SIZE)),
+        filter=np.zeros((count, n), FILTER),
+        heading=np.zeros((count, n), HEADING),
+        recent=np.zeros((count, objects, 3, 2)),
+        sensor=np.zeros(count, SENSOR),
         push=np.zeros((count, r, 2)),
         touch=np.zeros((count, r), np.int64),
-        course=np.zeros((count, r, COURSE_SIZE)),
-        strike=np.zeros((count, n - r, STRIKE_SIZE)),
-        felt=np.zeros((count, r, FELT_SIZE)),
-        hit=np.zeros((count, n - r, HIT_SIZE)),
-        pair=np.zeros((count, 2, 2 * r * (n - r), 2 * r * (n - r) + 3)),
+        course=np.zeros((count, r), COURSE),
+        strike=np.zeros((count, objects), STRIKE),
+        felt=np.zeros((count, r), CONTACT),
+        hit=np.zeros((count, objects), HIT),
+        pair_mean=np.zeros((count, 2, pairs)),
+        pair_covariance=np.zeros((count, 2, pairs, pairs)),
+        pair_share=np.zeros((count, 2, pairs, 2)),
         velocity_error=np.zeros((count, n)),
         clock=np.zeros((count, planned)),
-        place=np.zeros((count, planned + n - r, 2)),
-        shifted=np.zeros((count, r, 3 * STAGES + 1)),
+        place=np.zeros((count, planned + objects, 2)),
+        shifted=np.zeros((count, r), SHIFTED),
         past=np.zeros((count, math.ceil(plan.horizon / PAST_PERIOD) + 1, n, 2)),
         wanted=np.full(count, math.inf),
-        counts=np.zeros((count, len(COUNTERS)), np.int64),
+        counts=np.zeros(count, COUNTS),
     )
 
 
 @compiled
 def find_next_event(plan: PlanTable, memory: WorldMemory, k: int, r: int) -> tuple[float, float, int]:
-    """Return when robot r has to be somewhere next: expected time, plan's time and number of its next impact, or END.
+    """Return when robot r has to be somewhere next: its next impact, or the end of the plan.
 
-    Args:
-        plan: what is followed.
-        memory: of all worlds.
-        k: world.
-        r: robot.
+    Returns:
+        Expected time [s], the plan's time [s], and the number of the impact or NO_IMPACT.
     """
-    time, planned, index = plan.horizon, plan.horizon, END
+    time, planned, index = plan.horizon, plan.horizon, NO_IMPACT
     for o in range(memory.strike.shape[1]):
-        at = int(memory.strike[k, o, IMPACT_INDEX])
-        while at != END:
-            if plan.impact[at, ROBOT] == r and memory.clock[k, at] < time:
-                time, planned, index = memory.clock[k, at], plan.impact[at, AT], at
-            at = int(plan.impact[at, NEXT])
+        at = memory.strike[k, o].index
+        while at != NO_IMPACT:
+            if plan.impact[at].robot == r and memory.clock[k, at] < time:
+                time, planned, index = memory.clock[k, at], plan.impact[at].time, at
+            at = plan.impact[at].next
     return time, planned, index
 
 
 @compiled
 def find_strike(memory: WorldMemory, k: int, r: int) -> int:
-    """Return the object that robot r is to hit next, if its turn has come; END otherwise."""
-    best, found = math.inf, END
+    """Return the object that robot r is to hit next, if its turn has come; NO_OBJECT otherwise."""
+    best, found = math.inf, NO_OBJECT
     for o in range(memory.strike.shape[1]):
-        coming = memory.strike[k, o, IMPACT_INDEX] != END or memory.strike[k, o, INSERTED] > 0.0
-        if coming and memory.strike[k, o, AGENT] == r and memory.strike[k, o, TIME] < best:
-            best, found = memory.strike[k, o, TIME], o
+        strike = memory.strike[k, o]
+        coming = strike.index != NO_IMPACT or strike.is_inserted
+        if coming and strike.robot == r and strike.time < best:
+            best, found = strike.time, o
     return found
-
-
-@compiled
-def is_approaching(memory: WorldMemory, k: int, r: int) -> bool:
-    """Return whether robot r is on a course to an impact."""
-    return memory.course[k, r, IMPACT] > 0.0

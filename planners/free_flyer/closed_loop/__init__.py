@@ -1,1 +1,1 @@
-"""One control period of one world: observe, replan, track; new plans in the background."""
+"""One control period of one world: observe, replan, track; replanning in the background."""

@@ -5,33 +5,29 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
-from planners.free_flyer.belief.plan_table import RADIUS, PlanTable
-from planners.free_flyer.belief.world_memory import AVOIDED, WorldMemory
-from planners.free_flyer.tracking.course import IMPACT
+from planners.free_flyer.belief.plan_table import PlanTable
+from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT
 
+NO_TARGET = -1
 CLEARANCE = 0.1  # kept between the edges of two bodies [m]
 BRAKING = 0.7  # of the thrust, for each of two robots
 SWEEPS = 3  # over all neighbours
 
 
 @compiled
-def keep_off(
+def avoid_bodies(
     plan: PlanTable, memory: WorldMemory, k: int, r: int, target: int, ax: float, ay: float
 ) -> tuple[float, float, float]:
-    r"""Return the acceleration nearest to a wish with which robot r can still brake before all bodies but its target.
+    r"""Return the acceleration nearest to a desired one with which robot r can still brake before all but its target.
 
     (v_r - v_j) . n + h a . n <= sqrt(b^2 h^2 + 2 b max(d - d_min, 0)) - b h for each body j, n from robot to body, b
     the braking acceleration (of both, if both are robots): the row of a barrier, projected onto in turn. What the
     limits leave of it is slack; a robot that hits is exempt from the object it hits.
 
     Args:
-        plan: who is who.
-        memory: estimates of all worlds.
-        k: world.
-        r: robot.
-        target: body that the robot is on course to hit, or END.
-        ax, ay: wished acceleration [m/s^2].
+        target: body that the robot is on course to hit, or NO_TARGET.
+        ax, ay: desired acceleration [m/s^2].
 
     Returns:
         Acceleration [m/s^2], and the greatest slack [m/s].
@@ -47,21 +43,22 @@ def keep_off(
             if j in (r, target):
                 continue
             y = memory.filter[k, j]
-            dx, dy = y[0] - z[0], y[1] - z[1]
+            dx, dy = y.position[0] - z.position[0], y.position[1] - z.position[1]
             distance = math.hypot(dx, dy)
             nx, ny = dx / max(distance, 1e-9), dy / max(distance, 1e-9)
-            room = distance - plan.body[r, RADIUS] - plan.body[j, RADIUS] - CLEARANCE
+            room = distance - plan.body[r].radius - plan.body[j].radius - CLEARANCE
             brake = BRAKING * most
-            if j < plan.robots and memory.course[k, j, IMPACT] == 0.0:
+            if j < plan.robots and not memory.course[k, j].ends_in_impact:
                 brake *= 2.0
             lost = brake * h  # a control period passes before it brakes
             fastest = math.sqrt(lost * lost + 2.0 * brake * max(room, 0.0)) - lost
-            excess = (z[2] - y[2]) * nx + (z[3] - y[3]) * ny + h * (ax * nx + ay * ny) - fastest
+            closing = (z.velocity[0] - y.velocity[0]) * nx + (z.velocity[1] - y.velocity[1]) * ny
+            excess = closing + h * (ax * nx + ay * ny) - fastest
             if excess > 0.0:
                 slack, changed = max(slack, excess), True
                 ax, ay = ax - excess / h * nx, ay - excess / h * ny
                 size = math.hypot(ax, ay)
                 if size > most:
                     ax, ay = ax * most / size, ay * most / size
-    memory.counts[k, AVOIDED] += 1 if changed else 0
+    memory.counts[k].avoided += 1 if changed else 0
     return ax, ay, slack

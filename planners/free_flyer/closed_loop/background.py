@@ -1,4 +1,4 @@
-"""New plans in the background, for worlds whose plan has no future: a process solves, the loop goes on.
+"""Replan in a background process when the current plan can no longer succeed; the loop goes on meanwhile.
 
 A plan is asked for from the state that is expected DELAY later, and taken over then, in simulated time: what an episode
 does does not depend on how fast the machine is, unless the solver comes to its TIME_LIMIT. Where simulated time runs
@@ -23,18 +23,9 @@ import numpy as np
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.errors import PlanningError
-from planners.free_flyer.belief.estimator import extrapolate
-from planners.free_flyer.belief.plan_table import END, NEXT, PlanTable, make_plan_table
-from planners.free_flyer.belief.world_memory import (
-    IMPACT_INDEX,
-    INSERTED,
-    LAST,
-    NO_PLAN,
-    PAST_PERIOD,
-    PLANNED_ANEW,
-    TIME,
-    WorldMemory,
-)
+from planners.free_flyer.belief.estimator import extrapolate_flight
+from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable, make_plan_table
+from planners.free_flyer.belief.world_memory import PAST_PERIOD, WorldMemory
 from planners.free_flyer.next_impact.bookkeeping import SETTLE
 from planners.free_flyer.nominal.remaining import make_remaining_scenario, plan_rest
 from planners.free_flyer.tracking.course import evaluate_course
@@ -74,20 +65,20 @@ class Background:
         self._scenario = scenario
         self._pending: dict[int, Request] = {}
         self._asked: dict[int, int] = {}
-        self._held: dict[int, float] = {}
+        self._next: dict[int, float] = {}
         self._answers: dict[int, str | None] = {}
         self._numbers = self._read = 0
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._owner = os.getpid()
 
-    def forget(self, k: int) -> None:
+    def forget_world(self, k: int) -> None:
         """Forget what world k has asked for."""
         self._pending.pop(k, None)
         self._asked.pop(k, None)
-        self._held.pop(k, None)
+        self._next.pop(k, None)
 
-    def look(self, table: PlanTable, memory: WorldMemory, k: int) -> PlanTable | None:
+    def poll_plan(self, table: PlanTable, memory: WorldMemory, k: int) -> PlanTable | None:
         """Return a new table for world k to follow from now on, if there is one; ask for one if it is wanted.
 
         Args:
@@ -100,27 +91,22 @@ class Background:
             if now < request.begin - 1e-6:
                 return None
             del self._pending[k]
-            self._hold(k, now)
-            return self._take(memory, k, request)
-        if now >= self._held.get(k, math.inf):
-            del self._held[k]
+            self._allow_next(k, now)
+            return self._take_plan(memory, k, request)
+        if now >= self._next.get(k, math.inf):
+            del self._next[k]
             memory.wanted[k] = math.inf
         elif 0.0 <= memory.wanted[k] <= now and _is_calm(memory, k, now):
-            # Nothing is wanted until the answer has had its time.
+            # No further plan is wanted before this one had time to act.
             memory.wanted[k] = -math.inf
             if table.horizon - now >= LEAST_LEFT:
-                self._ask(table, memory, k, now)
+                self._ask_plan(table, memory, k, now)
         return None
 
-    @property
-    def pending(self) -> bool:
-        """Return whether any world has asked for a plan."""
-        return bool(self._asked)
-
     def find_busy(self, memory: WorldMemory) -> np.ndarray:
-        """Return the worlds that `look` may do something for."""
+        """Return the worlds that `poll_plan` may do something for."""
         busy = (memory.wanted >= 0.0) & (memory.wanted <= memory.time)
-        busy[[*self._pending, *self._held]] = True
+        busy[[*self._pending, *self._next]] = True
         return np.flatnonzero(busy)
 
     def close(self) -> None:
@@ -135,18 +121,18 @@ class Background:
 
     __del__ = close
 
-    def _hold(self, k: int, now: float) -> None:
+    def _allow_next(self, k: int, now: float) -> None:
         if self._asked[k] < MOST_PLANS:
-            self._held[k] = now + APART
+            self._next[k] = now + APART
 
-    def _ask(self, table: PlanTable, memory: WorldMemory, k: int, now: float) -> None:
+    def _ask_plan(self, table: PlanTable, memory: WorldMemory, k: int, now: float) -> None:
         self._asked[k] = self._asked.get(k, 0) + 1
         begin = round(round((now + DELAY) / table.period) * table.period, 9)
         try:
             rest = self._make_rest(table, memory, k, now, begin)
         except InputError:
-            memory.counts[k, NO_PLAN] += 1
-            self._hold(k, now)
+            memory.counts["no_plan"][k] += 1
+            self._allow_next(k, now)
             return
         self._numbers += 1
         self._pending[k] = Request(self._numbers, begin, rest)
@@ -163,13 +149,13 @@ class Background:
             self.close()
 
     def _make_rest(self, table: PlanTable, memory: WorldMemory, k: int, now: float, begin: float) -> FreeFlyerScenario:
-        """Make the scenario that will be left: objects fly on, robots follow their courses."""
+        """Make the scenario that is left at `begin`: objects fly on, robots follow their courses."""
         positions, velocities = {}, {}
         for i, name in enumerate(self._scenario.bodies):
             if i < table.robots:
-                motion = evaluate_course(memory.course, table.breaks, table.coefficients, k, i, begin)[:4]
+                motion = evaluate_course(memory.course[k, i], table.breaks, table.coefficients, i, begin)[:4]
             else:
-                motion = extrapolate(memory, k, i, begin)
+                motion = extrapolate_flight(memory, k, i, begin)
             positions[name], velocities[name] = np.array(motion[:2]), np.array(motion[2:])
         seen = int(now / PAST_PERIOD + 1e-6) + 1
         times = np.append(PAST_PERIOD * np.arange(seen), begin)
@@ -178,20 +164,20 @@ class Background:
         }
         return make_remaining_scenario(self._scenario, begin, positions, velocities, (times, tracks))
 
-    def _take(self, memory: WorldMemory, k: int, request: Request) -> PlanTable | None:
-        answer = self._await(request.number)
+    def _take_plan(self, memory: WorldMemory, k: int, request: Request) -> PlanTable | None:
+        answer = self._await_answer(request.number)
         if answer is None:
-            memory.counts[k, NO_PLAN] += 1
+            memory.counts["no_plan"][k] += 1
             return None
         table = make_plan_table(request.scenario, Plan.from_json(answer), request.begin)
         if len(table.impact) > memory.clock.shape[1]:
-            memory.counts[k, NO_PLAN] += 1
+            memory.counts["no_plan"][k] += 1
             return None
-        memory.counts[k, PLANNED_ANEW] += 1
+        memory.counts["planned_anew"][k] += 1
         return table
 
-    def _await(self, number: int) -> str | None:
-        """Return the plan that answers a request, None if there is none."""
+    def _await_answer(self, number: int) -> str | None:
+        """Return the answer to a request, None if no plan was found or the worker died."""
         while self._read < number and self._owner == os.getpid():  # answers come in the order of the questions
             try:
                 answer = json.loads(self._lines.get())
@@ -228,18 +214,19 @@ def _forward(answers: TextIO, lines: queue.SimpleQueue[str]) -> None:
 
 
 def _is_calm(memory: WorldMemory, k: int, now: float) -> bool:
-    """Return whether no impact is near, before or after a new plan is taken over."""
+    """Return whether no impact is near now or when a new plan is taken over."""
     strike = memory.strike[k]
-    coming = strike[(strike[:, IMPACT_INDEX] != END) | (strike[:, INSERTED] > 0.0)]
-    return bool((coming[:, TIME] > now + DELAY + CALM).all() and (now >= strike[:, LAST] + SETTLE).all())
+    coming = strike[(strike["index"] != NO_IMPACT) | strike["is_inserted"]]
+    settled = (now >= strike["last_contact"] + SETTLE).all()
+    return bool((coming["time"] > now + DELAY + CALM).all() and settled)
 
 
 def _count_impacts(table: PlanTable, memory: WorldMemory, k: int) -> int:
     left = 0
     for o in range(len(table.first)):
-        at = int(memory.strike[k, o, IMPACT_INDEX])
-        while at != END:
-            at, left = int(table.impact[at, NEXT]), left + 1
+        at = memory.strike[k, o]["index"]
+        while at != NO_IMPACT:
+            at, left = table.impact[at]["next"], left + 1
     return left
 
 

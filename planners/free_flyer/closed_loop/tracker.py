@@ -9,32 +9,16 @@ import numpy as np
 from impact_envs.compiled import compiled
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain, get_pair
 from planners.free_flyer.belief.options import BY_LQR, BY_MPC, Options
-from planners.free_flyer.belief.plan_table import (
-    END,
-    HOME,
-    MASS,
-    PlanTable,
-)
-from planners.free_flyer.belief.world_memory import (
-    LQR,
-    N_X,
-    N_Y,
-    OBJECT_X,
-    OBJECT_Y,
-    PLUS_X,
-    PLUS_Y,
-    SHIFTED_PLAN,
-    TIME,
-    WorldMemory,
-)
-from planners.free_flyer.closed_loop.avoidance import keep_off
-from planners.free_flyer.tracking.course import IMPACT, evaluate_course
+from planners.free_flyer.belief.plan_table import PlanTable
+from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
+from planners.free_flyer.closed_loop.avoidance import NO_TARGET, avoid_bodies
+from planners.free_flyer.tracking.course import evaluate_course
 from planners.free_flyer.tracking.lqr import solve_lqr
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT, NO_JUMP, STAGES, Workspace, solve_tracking
 
 
 @compiled
-def track(
+def track_course(
     plan: PlanTable,
     memory: WorldMemory,
     options: Options,
@@ -56,9 +40,9 @@ def track(
 @compiled
 def fill_state(memory: WorldMemory, workspace: Workspace, c: int, k: int, r: int) -> None:
     """Write robot r's estimated state into the tracking problem."""
-    z, heading, rate = memory.filter[k, r], memory.heading[k, r, 0], memory.heading[k, r, 1]
-    state = workspace.state[c]
-    state[0], state[1], state[2], state[3], state[4], state[5] = z[0], z[1], heading, z[2], z[3], rate
+    z, heading, state = memory.filter[k, r], memory.heading[k, r], workspace.state[c]
+    state[0], state[1], state[2] = z.position[0], z.position[1], heading.angle
+    state[3], state[4], state[5] = z.velocity[0], z.velocity[1], heading.rate
 
 
 @compiled
@@ -78,33 +62,35 @@ def apply_solution(
     The fallbacks: what is left of the last solution, then LQR; each is counted.
     """
     h, pilot = plan.period, plan.pilot[r]
-    heading, rate = memory.heading[k, r, 0], memory.heading[k, r, 1]
+    heading, rate = memory.heading[k, r].angle, memory.heading[k, r].rate
     left = 0
     if options.tracker != BY_LQR:
-        shifted = memory.shifted[k, r]
-        solved, left = workspace.solved[c], int(shifted[3 * STAGES])
+        shifted, solved = memory.shifted[k, r], workspace.solved[c]
         if solved > 0:
-            for i in range(3 * solved):
-                shifted[i] = workspace.solution[c, i]
-            left = solved
-        elif left > 0:
-            memory.counts[k, SHIFTED_PLAN] += 1
+            for j in range(solved):
+                for i in range(3):
+                    shifted.inputs[j, i] = workspace.solution[c, 3 * j + i]
+            shifted.count = solved
+        elif shifted.count > 0:
+            memory.counts[k].shifted_plan += 1
         else:
-            memory.counts[k, LQR] += 1
+            memory.counts[k].lqr += 1
+        left = shifted.count
         if left > 0:
             for i in range(3):
-                actions[k, r, i] = shifted[i]
-            for i in range(3 * (left - 1)):
-                shifted[i] = shifted[i + 3]
-            shifted[3 * STAGES] = left - 1
+                actions[k, r, i] = shifted.inputs[0, i]
+            for j in range(left - 1):
+                for i in range(3):
+                    shifted.inputs[j, i] = shifted.inputs[j + 1, i]
+            shifted.count = left - 1
     if left == 0:
         feed_back(plan, memory, workspace, c, k, r, actions)
     if options.avoid:
         g, cos, sin = pilot[GAIN], math.cos(heading), math.sin(heading)
         ax = g * (cos * actions[k, r, 0] - sin * actions[k, r, 1])
         ay = g * (sin * actions[k, r, 0] + cos * actions[k, r, 1])
-        striking = o != END and memory.course[k, r, IMPACT] > 0.0
-        bx, by, _ = keep_off(plan, memory, k, r, plan.robots + o if striking else END, ax, ay)
+        striking = o != NO_OBJECT and memory.course[k, r].ends_in_impact
+        bx, by, _ = avoid_bodies(plan, memory, k, r, plan.robots + o if striking else NO_TARGET, ax, ay)
         if bx != ax or by != ay:
             actions[k, r, 0], actions[k, r, 1] = (cos * bx + sin * by) / g, (cos * by - sin * bx) / g
     for i in range(3):
@@ -123,9 +109,9 @@ def feed_back(
 ) -> None:
     """Write robot r's input by LQR on its course."""
     now, h, reference = memory.time[k], plan.period, workspace.states[c, 0]
-    here = evaluate_course(memory.course, plan.breaks, plan.coefficients, k, r, now)
-    ahead = evaluate_course(memory.course, plan.breaks, plan.coefficients, k, r, now + h)
-    reference[0], reference[1], reference[2] = here[0], here[1], plan.body[r, HOME]
+    here = evaluate_course(memory.course[k, r], plan.breaks, plan.coefficients, r, now)
+    ahead = evaluate_course(memory.course[k, r], plan.breaks, plan.coefficients, r, now + h)
+    reference[0], reference[1], reference[2] = here[0], here[1], plan.body[r].heading
     reference[3], reference[4], reference[5] = here[2], here[3], 0.0
     ax = (ahead[2] - here[2]) / h
     ay = (ahead[3] - here[3]) / h
@@ -140,13 +126,13 @@ def fill_reference(plan: PlanTable, memory: WorldMemory, workspace: Workspace, c
 
     Source: Verhagen & Tumova, Sec. VII: Eq. 7 in the prediction at t_m = t_impact.
     """
-    now, h, mass = memory.time[k], plan.period, plan.body[r, MASS]
+    now, h, mass = memory.time[k], plan.period, plan.body[r].mass
     states, inputs, durations = workspace.states[c], workspace.inputs[c], workspace.durations[c]
-    jump, heading = workspace.jump[c], memory.heading[k, r, 0]
+    jump, heading = workspace.jump[c], memory.heading[k, r].angle
     for j in range(STAGES):
         durations[j] = h
-    node, striking = NO_JUMP, o != END and memory.course[k, r, IMPACT] > 0.0
-    ahead = memory.strike[k, o, TIME] - now if striking else math.inf
+    node, striking = NO_JUMP, o != NO_OBJECT and memory.course[k, r].ends_in_impact
+    ahead = memory.strike[k, o].time - now if striking else math.inf
     if ahead >= 0.0 and ahead < (STAGES - 0.5) * h:
         strike = memory.strike[k, o]
         node = min(max(math.floor(ahead / h + 0.5), 1), STAGES - 1)
@@ -154,21 +140,22 @@ def fill_reference(plan: PlanTable, memory: WorldMemory, workspace: Workspace, c
         durations[node] = (node + 1) * h - ahead
         # The robot's own jump: v+ = v- - c (n . v- - n . v_O) n with c = alpha m_O / m_R.
         gain = compute_pair_gain(memory, k, r, o) * get_pair(memory, k, r, o)[1]
-        jump[0], jump[1], jump[2] = strike[N_X], strike[N_Y], gain
-        jump[3] = strike[N_X] * strike[OBJECT_X] + strike[N_Y] * strike[OBJECT_Y]
+        jump[0], jump[1], jump[2] = strike.normal[0], strike.normal[1], gain
+        jump[3] = strike.normal[0] * strike.object_minus[0] + strike.normal[1] * strike.object_minus[1]
     workspace.node[c] = node
     cos, sin, t = math.cos(heading), math.sin(heading), now
     for j in range(STAGES + 1):
         bounced = node != NO_JUMP and j > node
         if bounced:
-            plus_x, plus_y = memory.strike[k, o, PLUS_X], memory.strike[k, o, PLUS_Y]
+            plus = memory.strike[k, o].robot_plus
+            plus_x, plus_y = plus[0], plus[1]
             states[j, 0] = states[j - 1, 0] + durations[j - 1] * plus_x
             states[j, 1] = states[j - 1, 1] + durations[j - 1] * plus_y
             states[j, 3], states[j, 4] = plus_x, plus_y
         else:
-            motion = evaluate_course(memory.course, plan.breaks, plan.coefficients, k, r, t)
+            motion = evaluate_course(memory.course[k, r], plan.breaks, plan.coefficients, r, t)
             states[j, 0], states[j, 1], states[j, 3], states[j, 4] = motion[0], motion[1], motion[2], motion[3]
-        states[j, 2], states[j, 5] = plan.body[r, HOME], 0.0
+        states[j, 2], states[j, 5] = plan.body[r].heading, 0.0
         if j > 0:
             scale = 0.0 if bounced else mass / max(durations[j - 1], 1e-9)
             fx, fy = scale * (states[j, 3] - states[j - 1, 3]), scale * (states[j, 4] - states[j - 1, 4])

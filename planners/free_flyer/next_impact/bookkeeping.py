@@ -1,4 +1,4 @@
-"""The coming impact of every object: when it is expected, and what came of the last one; compiled."""
+"""Keep account of the coming impact of every object: when it is expected, and what the last one did; compiled."""
 
 from __future__ import annotations
 
@@ -9,74 +9,24 @@ from planners.free_flyer.belief.impact_parameters import (
     MODEL_ERROR,
     OBJECT_FLOOR,
     UNSEEN,
-    relearn,
-    settle,
+    relearn_pairs,
+    settle_hit,
     start_pairs,
     watch_recoil,
 )
 from planners.free_flyer.belief.options import Options
-from planners.free_flyer.belief.plan_table import (
-    AT,
-    CLOSE,
-    END,
-    KNOT_X,
-    KNOT_Y,
-    NEXT,
-    NORMAL_X,
-    NORMAL_Y,
-    OPEN,
-    ROBOT,
-    PlanTable,
-)
+from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import (
-    AGENT,
-    APPROACH,
-    ASTRAY,
-    BEFORE_X,
-    BEFORE_Y,
-    CHANGE,
-    COMMANDED,
-    DECIDED,
-    FELT_SIZE,
-    GAINED,
-    GAINED_VARIANCE,
-    GIVE_UP,
-    HIT_AT,
-    HIT_BY,
-    HIT_X,
-    HIT_Y,
-    IMPACT_INDEX,
-    INSERTED,
-    LAST,
-    LATEST_X,
-    LATEST_Y,
-    LEARNED,
-    LOOKED,
-    MISSES,
-    OPTIMISED,
-    OUTCOME,
-    PENDING,
-    RATIO,
-    RECOIL_VARIANCE,
-    REFERENCE_X,
-    REFERENCE_Y,
-    REPLANNED,
-    REPLANS,
-    RETRY,
-    SCALE,
-    SEEN,
-    SOLVED,
-    SPENT,
-    TIME,
-    TURN,
-    UNPLANNED,
-    WATCHED,
+    BLANK_HIT,
+    BLANK_STRIKE,
+    NO_OBJECT,
+    NO_ROBOT,
     WorldMemory,
     find_next_event,
 )
 from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF
 from planners.free_flyer.next_impact.two_body import Outcome
-from planners.free_flyer.tracking.course import IMPACT, STOP, read_clock, return_to_plan, set_clock
+from planners.free_flyer.tracking.course import read_clock, return_to_plan, set_clock
 
 SETTLE = 1.5  # after a contact, until the object's velocity is known well enough to plan with [s]
 DECISION_LEAD = 8.0  # before an impact its correction is decided [s]
@@ -100,8 +50,7 @@ FASTEST_CLOCK = 1.5  # plan seconds per second; more would force the end pose wi
 def forget_hits(plan: PlanTable, memory: WorldMemory, k: int) -> None:
     """Forget what world k's impacts taught."""
     for o in range(memory.hit.shape[1]):
-        for column in range(memory.hit.shape[2]):
-            memory.hit[k, o, column] = 0.0
+        memory.hit[k, o] = BLANK_HIT
     start_pairs(plan, memory, k)
 
 
@@ -110,46 +59,39 @@ def start_strikes(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> N
     """Start world k with the first impact of every object.
 
     Args:
-        plan: what is followed.
-        memory: of all worlds.
-        k: world.
         now: when the plan begins; after 0 the objects are in flight [s].
     """
     for o in range(len(plan.first)):
-        at, before = int(plan.first[o]), END
-        while at != END:
-            memory.clock[k, at] = plan.impact[at, AT]
-            if before != END and plan.knot[at, CLOSE] < math.inf:
-                # Late objects are the rule: a flight that a window ends is begun fast enough for a weak throw.
-                start = memory.clock[k, before]
-                way = math.hypot(
-                    plan.knot[at, KNOT_X] - plan.knot[before, KNOT_X],
-                    plan.knot[at, KNOT_Y] - plan.knot[before, KNOT_Y],
-                )
-                sooner = start + max(HASTE * (plan.knot[at, CLOSE] - start), way / FAST)
-                memory.clock[k, at] = min(max(sooner, plan.knot[at, OPEN]), plan.impact[at, AT])
-            at, before = int(plan.impact[at, NEXT]), at
+        at, before = plan.first[o], NO_IMPACT
+        while at != NO_IMPACT:
+            impact, knot = plan.impact[at], plan.knot[at]
+            memory.clock[k, at] = impact.time
+            if before != NO_IMPACT and knot.closes < math.inf:
+                # Objects usually arrive late: start the flight into a window early enough for a weak throw to arrive.
+                start, last = memory.clock[k, before], plan.knot[before].position
+                way = math.hypot(knot.position[0] - last[0], knot.position[1] - last[1])
+                sooner = start + max(HASTE * (knot.closes - start), way / FAST)
+                memory.clock[k, at] = min(max(sooner, knot.opens), impact.time)
+            at, before = impact.next, at
     for i in range(len(plan.knot)):
-        memory.place[k, i, 0], memory.place[k, i, 1] = plan.knot[i, KNOT_X], plan.knot[i, KNOT_Y]
+        memory.place[k, i, 0], memory.place[k, i, 1] = plan.knot[i].position[0], plan.knot[i].position[1]
     for o in range(len(plan.first)):
-        for column in range(memory.strike.shape[2]):
-            memory.strike[k, o, column] = 0.0
+        strike = memory.strike[k, o]
+        memory.strike[k, o] = BLANK_STRIKE
         calm = now - SETTLE if now > 0.0 else -math.inf
-        memory.strike[k, o, LAST] = memory.strike[k, o, LOOKED] = memory.strike[k, o, OPTIMISED] = calm
-        await_impact(plan, memory, k, o, int(plan.first[o]), now)
+        strike.last_contact = strike.looked_at = strike.optimised_at = calm
+        await_impact(plan, memory, k, o, plan.first[o], now)
 
 
 @compiled
 def await_impact(plan: PlanTable, memory: WorldMemory, k: int, o: int, index: int, now: float) -> None:
-    """Make a planned impact, or END, the coming one of object o."""
+    """Make a planned impact, or none (NO_IMPACT), the coming one of object o."""
     strike = memory.strike[k, o]
-    strike[IMPACT_INDEX], strike[INSERTED], strike[MISSES], strike[REPLANNED] = index, 0.0, 0.0, -math.inf
-    strike[SCALE], strike[TURN], strike[DECIDED], strike[SOLVED] = 0.0, 0.0, 0.0, 0.0
-    strike[ASTRAY] = math.inf
-    strike[AGENT], strike[TIME] = -1.0, math.inf
-    if index != END:
-        strike[AGENT] = plan.impact[index, ROBOT]
-        strike[REFERENCE_X], strike[REFERENCE_Y] = plan.impact[index, NORMAL_X], plan.impact[index, NORMAL_Y]
+    strike.index, strike.is_inserted, strike.misses, strike.replanned_at = index, False, 0, -math.inf
+    strike.scale, strike.turn, strike.is_decided, strike.is_solved = 0.0, 0.0, False, False
+    strike.robot, strike.time, strike.astray_since = NO_ROBOT, math.inf, math.inf
+    if index != NO_IMPACT:
+        strike.robot, strike.reference_normal = plan.impact[index].robot, plan.impact[index].normal
         earliest = now + SHORTEST_NOTICE if now > 0.0 else 0.0
         set_time(plan, memory, k, o, index, max(memory.clock[k, index], earliest))
 
@@ -159,36 +101,36 @@ def set_time(plan: PlanTable, memory: WorldMemory, k: int, o: int, index: int, t
     """Expect a planned impact at a time; later ones of the object share the time that is left."""
     old = memory.clock[k, index]
     share = (plan.horizon - time) / max(plan.horizon - old, ROUND_OFF)
-    memory.strike[k, o, TIME] = memory.clock[k, index] = time
-    at = int(plan.impact[index, NEXT])
-    while at != END and time != old:
+    memory.strike[k, o].time = memory.clock[k, index] = time
+    at = plan.impact[index].next
+    while at != NO_IMPACT and time != old:
         moved = time + (memory.clock[k, at] - old) * share
-        earliest, latest = plan.knot[at, OPEN], max(plan.knot[at, CLOSE], time)
+        earliest, latest = plan.knot[at].opens, max(plan.knot[at].closes, time)
         memory.clock[k, at] = min(max(moved, earliest), latest)
-        at = int(plan.impact[at, NEXT])
+        at = plan.impact[at].next
 
 
 @compiled
 def set_clocks(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> None:
-    """Let every robot that follows its plan arrive at its next event when it is expected."""
+    """Set the clock of every robot that follows its plan, so that it is in time for its next event."""
     for r in range(plan.robots):
-        if memory.course[k, r, IMPACT] == 0.0:
+        course = memory.course[k, r]
+        if not course.ends_in_impact:
             time, planned, _ = find_next_event(plan, memory, k, r)
-            tau = min(read_clock(memory.course, k, r, now), memory.course[k, r, STOP])
-            set_clock(memory.course, k, r, now, tau, time, planned, FASTEST_CLOCK)
+            tau = min(read_clock(course, now), course.stop)
+            set_clock(course, now, tau, time, planned, FASTEST_CLOCK)
 
 
 @compiled
-def go_back(plan: PlanTable, memory: WorldMemory, k: int, r: int, now: float, tau: float) -> None:
-    """Plan robot r's course back to its plan, which stands at tau."""
+def return_robot(plan: PlanTable, memory: WorldMemory, k: int, r: int, now: float, tau: float) -> None:
+    """Plan robot r's course back to its plan, whose time is tau now."""
     time, planned, _ = find_next_event(plan, memory, k, r)
     z = memory.filter[k, r]
-    begin = (z[0], z[1], z[2], z[3])
+    begin = (z.position[0], z.position[1], z.velocity[0], z.velocity[1])
     return_to_plan(
-        memory.course,
+        memory.course[k, r],
         plan.breaks,
         plan.coefficients,
-        k,
         r,
         now,
         begin,
@@ -198,81 +140,77 @@ def go_back(plan: PlanTable, memory: WorldMemory, k: int, r: int, now: float, ta
         RETURN_SECONDS,
         FASTEST_CLOCK,
     )
-    memory.counts[k, REPLANS] += 1
+    memory.counts[k].replans += 1
 
 
 @compiled
 def remember_before(plan: PlanTable, memory: WorldMemory, k: int) -> None:
-    """Keep the objects' velocities as they were before the impact that may come now."""
+    """Store the objects' velocities before the impact that may come now."""
     for o in range(len(plan.first)):
-        z = memory.filter[k, plan.robots + o]
-        memory.hit[k, o, LATEST_X], memory.hit[k, o, LATEST_Y] = z[2], z[3]
+        memory.hit[k, o].latest = memory.filter[k, plan.robots + o].velocity
 
 
 @compiled
 def take_contact(plan: PlanTable, memory: WorldMemory, k: int, r: int, now: float) -> None:
-    """Take note of a contact of robot r: the coming impact is done if robot, object and time fit."""
+    """Record a contact of robot r: the coming impact is done if robot, object and time fit."""
     other = memory.touch[k, r]
-    tau = min(read_clock(memory.course, k, r, now), memory.course[k, r, STOP])
+    tau = min(read_clock(memory.course[k, r], now), memory.course[k, r].stop)
     if other < plan.robots:
-        memory.counts[k, UNPLANNED] += 1
-        go_back(plan, memory, k, r, now, tau)
+        memory.counts[k].unplanned_contact += 1
+        return_robot(plan, memory, k, r, now, tau)
         return
     o = other - plan.robots
     strike, hit = memory.strike[k, o], memory.hit[k, o]
-    strike[LAST], index = now, int(strike[IMPACT_INDEX])
-    settle(memory, k, o)
-    expected = strike[AGENT] == r and now >= strike[TIME] - EARLIEST
+    strike.last_contact, index = now, strike.index
+    settle_hit(memory, k, o)
+    expected = strike.robot == r and now >= strike.time - EARLIEST
     if not expected:
-        memory.counts[k, UNPLANNED] += 1
-        go_back(plan, memory, k, r, now, tau)
+        memory.counts[k].unplanned_contact += 1
+        return_robot(plan, memory, k, r, now, tau)
         return
-    if strike[SOLVED] > 0.0:
-        hit[PENDING], hit[HIT_AT], hit[COMMANDED] = 1.0, now, strike[CHANGE]
-        hit[BEFORE_X], hit[BEFORE_Y] = hit[LATEST_X], hit[LATEST_Y]
-        for column in range(FELT_SIZE):
-            hit[column] = memory.felt[k, r, column]
-        hit[HIT_BY], hit[WATCHED], hit[SPENT], hit[LEARNED] = r, now, 0.0, -math.inf
-        hit[GAINED_VARIANCE], hit[RECOIL_VARIANCE] = 0.0, UNSEEN
-    if strike[INSERTED] > 0.0:
+    if strike.is_solved:
+        hit.is_pending, hit.time, hit.robot, hit.commanded = True, now, r, strike.change
+        hit.before, hit.contact = hit.latest, memory.felt[k, r]
+        hit.watched_at, hit.thrust, hit.learned_at = now, 0.0, -math.inf
+        hit.gained_variance, hit.recoil_variance = 0.0, UNSEEN
+    if strike.is_inserted:
         await_impact(plan, memory, k, o, index, now)
     else:
-        tau = plan.impact[index, AT] + min(max(now - strike[TIME], 0.0), plan.period)
-        await_impact(plan, memory, k, o, int(plan.impact[index, NEXT]), now)
-    go_back(plan, memory, k, r, now, tau)
+        tau = plan.impact[index].time + min(max(now - strike.time, 0.0), plan.period)
+        await_impact(plan, memory, k, o, plan.impact[index].next, now)
+    return_robot(plan, memory, k, r, now, tau)
     set_clocks(plan, memory, k, now)
 
 
 @compiled
 def take_misses(plan: PlanTable, memory: WorldMemory, options: Options, k: int, now: float) -> None:
-    """Put off the impacts that are overdue, or give them up."""
+    """Retry the impacts that are overdue, or give them up."""
     for o in range(len(plan.first)):
         strike = memory.strike[k, o]
-        if now <= strike[TIME] + PATIENCE:
+        if now <= strike.time + PATIENCE:
             continue
-        index, r = int(strike[IMPACT_INDEX]), int(strike[AGENT])
-        outcome = int(strike[OUTCOME])
-        useless = outcome == Outcome.NOT_NEEDED or outcome == Outcome.OUT_OF_REACH
-        hopeless = strike[SOLVED] > 0.0 and useless
-        again = strike[INSERTED] == 0.0 and not hopeless and strike[MISSES] < RETRIES
+        index, r = strike.index, strike.robot
+        useless = strike.outcome == Outcome.NOT_NEEDED or strike.outcome == Outcome.OUT_OF_REACH
+        hopeless = strike.is_solved and useless
+        again = not strike.is_inserted and not hopeless and strike.misses < RETRIES
         if again and options.retime and now + RETRY_IN < plan.horizon:
-            strike[MISSES], strike[REPLANNED] = strike[MISSES] + 1.0, -math.inf
+            strike.misses, strike.replanned_at = strike.misses + 1, -math.inf
             set_time(plan, memory, k, o, index, now + RETRY_IN)
-            memory.counts[k, RETRY] += 1
+            memory.counts[k].retry += 1
         else:
-            tau = min(read_clock(memory.course, k, r, now), memory.course[k, r, STOP])
-            if strike[INSERTED] == 0.0:
-                tau = plan.impact[index, AT]
-                index = int(plan.impact[index, NEXT])
+            tau = min(read_clock(memory.course[k, r], now), memory.course[k, r].stop)
+            if not strike.is_inserted:
+                tau = plan.impact[index].time
+                index = plan.impact[index].next
             await_impact(plan, memory, k, o, index, now)
-            go_back(plan, memory, k, r, now, tau)
-            memory.counts[k, GIVE_UP] += 1
+            return_robot(plan, memory, k, r, now, tau)
+            memory.counts[k].give_up += 1
         set_clocks(plan, memory, k, now)
 
 
 @compiled
 def learn_from_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: int, now: float) -> None:
-    """Compare what the last impact of each object did with what it should have done.
+    """Compare the change of velocity that each object's last impact made with the commanded one.
 
     The change of the object's velocity is v - v_before - a (t - t_before), of variance P_vv - 2 (t - t_hit) P_va +
     (t - t_hit)^2 P_aa.
@@ -280,33 +218,34 @@ def learn_from_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: i
     seen = False
     for o in range(len(plan.first)):
         hit, z = memory.hit[k, o], memory.filter[k, plan.robots + o]
-        since = now - hit[HIT_AT]
-        if hit[PENDING] == 0.0:
+        since = now - hit.time
+        if not hit.is_pending:
             continue
         watch_recoil(memory, k, o, now)
         if since < OBSERVABLE - ROUND_OFF:
             continue
         flight = since + plan.period  # the velocity before the hit is that of a step before
-        x, y = z[2] - hit[BEFORE_X] - z[4] * flight, z[3] - hit[BEFORE_Y] - z[5] * flight
-        if hit[COMMANDED] > 0.0:
-            hit[SEEN] += 1.0 if hit[RATIO] == 0.0 else 0.0
-            hit[RATIO] = math.hypot(x, y) / hit[COMMANDED]
-        if options.learn and now >= hit[LEARNED] + LEARN_PERIOD - ROUND_OFF:
-            hit[GAINED] = x * hit[HIT_X] + y * hit[HIT_Y]
-            variance = max(z[9] - 2.0 * since * z[10] + since * since * z[11], 0.0)
+        x = z.velocity[0] - hit.before[0] - z.drift[0] * flight
+        y = z.velocity[1] - hit.before[1] - z.drift[1] * flight
+        if hit.commanded > 0.0:
+            hit.seen += 1 if hit.ratio == 0.0 else 0
+            hit.ratio = math.hypot(x, y) / hit.commanded
+        if options.learn and now >= hit.learned_at + LEARN_PERIOD - ROUND_OFF:
+            hit.gained = x * hit.contact.normal[0] + y * hit.contact.normal[1]
+            variance = max(z.P_vv - 2.0 * since * z.P_va + since * since * z.P_aa, 0.0)
             variance += memory.velocity_error[k, plan.robots + o] + OBJECT_FLOOR * OBJECT_FLOOR
-            hit[GAINED_VARIANCE] = variance + (MODEL_ERROR * hit[APPROACH]) ** 2
-            hit[LEARNED], seen = now, True
+            hit.gained_variance = variance + (MODEL_ERROR * hit.contact.approach) ** 2
+            hit.learned_at, seen = now, True
     if seen:
-        relearn(memory, k)
+        relearn_pairs(memory, k)
 
 
 @compiled
 def find_due(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> int:
-    """Return the object whose coming impact's correction is to be decided now, or END."""
+    """Return the object whose coming impact's correction is to be decided now, or NO_OBJECT."""
     for o in range(len(plan.first)):
         strike = memory.strike[k, o]
-        due = max(strike[TIME] - DECISION_LEAD, strike[LAST] + DECISION_SETTLE)
-        if strike[DECIDED] == 0.0 and strike[IMPACT_INDEX] != END and now >= due - ROUND_OFF:
+        due = max(strike.time - DECISION_LEAD, strike.last_contact + DECISION_SETTLE)
+        if not strike.is_decided and strike.index != NO_IMPACT and now >= due - ROUND_OFF:
             return o
-    return END
+    return NO_OBJECT

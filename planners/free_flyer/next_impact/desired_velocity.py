@@ -1,31 +1,14 @@
-"""Where an object should fly from its coming impact: its next knot, how deep, from which side; compiled."""
+"""Choose the velocity that an object should have after its coming impact; compiled."""
 
 from __future__ import annotations
 
 import math
 
 from impact_envs.compiled import compiled
-from planners.free_flyer.belief.estimator import extrapolate
+from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.options import Options
-from planners.free_flyer.belief.plan_table import (
-    DEPTH,
-    END,
-    FACES,
-    NEXT,
-    OPEN,
-    RADIUS,
-    SPEED,
-    PlanTable,
-)
-from planners.free_flyer.belief.world_memory import (
-    AGENT,
-    IMPACT_INDEX,
-    INSERTED,
-    REFERENCE_X,
-    REFERENCE_Y,
-    TIME,
-    WorldMemory,
-)
+from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
+from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.next_impact.reachability import compute_arrival
 
 SHORTEST_LEG = 5.0  # a delayed impact does not make the object faster than for a leg of this duration [s]
@@ -42,10 +25,11 @@ ROUND_OFF = 1e-6  # of times [s]
 
 @compiled
 def compute_margin(plan: PlanTable, knot: int, x: float, y: float) -> float:
-    """Return how deep a position lies in what a knot demands, negative outside [m]; inf without demands."""
+    """Return the distance of a position from the faces of a knot, negative outside [m]; inf without faces."""
     margin = math.inf
-    for i in range(int(plan.knot[knot, FACES])):
-        margin = min(margin, plan.face[knot, i, 2] - plan.face[knot, i, 0] * x - plan.face[knot, i, 1] * y)
+    for i in range(plan.knot[knot].faces):
+        face = plan.face[knot, i]
+        margin = min(margin, face.offset - face.normal[0] * x - face.normal[1] * y)
     return margin
 
 
@@ -54,16 +38,12 @@ def find_next_knot(plan: PlanTable, memory: WorldMemory, k: int, o: int, inserte
     """Return the knot after the coming impact of object o, when it is expected, and whether it is the end.
 
     Args:
-        plan: what is followed.
-        memory: of all worlds.
-        k: world.
-        o: object.
-        inserted: the coming impact is none of the plan.
+        inserted: the coming impact is not in the plan.
     """
-    index = int(memory.strike[k, o, IMPACT_INDEX])
-    if index != END and not inserted:
-        index = int(plan.impact[index, NEXT])
-    if index == END:
+    index = memory.strike[k, o].index
+    if index != NO_IMPACT and not inserted:
+        index = plan.impact[index].next
+    if index == NO_IMPACT:
         return len(plan.impact) + o, plan.horizon, True
     return index, memory.clock[k, index], False
 
@@ -95,87 +75,91 @@ def compute_desired_velocity(
 
 
 @compiled
-def aim(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int) -> tuple[float, float]:
+def choose_desired_velocity(
+    plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int
+) -> tuple[float, float]:
     """Return the velocity object o should have after its coming impact [m/s]."""
     strike, body = memory.strike[k, o], plan.robots + o
-    z, time = memory.filter[k, body], strike[TIME]
-    x, y, _, _ = extrapolate(memory, k, body, time)
-    knot, due, last = find_next_knot(plan, memory, k, o, strike[INSERTED] > 0.0)
+    z, time = memory.filter[k, body], strike.time
+    x, y, _, _ = extrapolate_flight(memory, k, body, time)
+    knot, due, last = find_next_knot(plan, memory, k, o, strike.is_inserted)
     target_x, target_y = memory.place[k, knot, 0], memory.place[k, knot, 1]
     duration = max(due - time, SHORTEST_LEG if last else 2.0)
-    limit = plan.body[body, SPEED]
-    if not last or not options.insert or plan.knot[knot, FACES] == 0.0:
-        return compute_desired_velocity(x, y, target_x, target_y, duration, z[4], z[5], limit)
-    # How deep is enough grows to the plan's depth with the time that is left.
+    limit = plan.body[body].speed_limit
+    if not last or not options.insert or plan.knot[knot].faces == 0:
+        return compute_desired_velocity(x, y, target_x, target_y, duration, z.drift[0], z.drift[1], limit)
+    # The depth that is enough grows with the time that is left, up to the plan's.
     extra = min(max(duration / FULL_CORRECTION - 0.5, 0.0) * 2.0, 1.0)
-    enough = (DEEP_ENOUGH + (1.0 - DEEP_ENOUGH) * extra) * plan.knot[knot, DEPTH]
+    enough = (DEEP_ENOUGH + (1.0 - DEEP_ENOUGH) * extra) * plan.knot[knot].depth
     best, chosen = -math.inf, 1.0
     for i in range(SHARES + 1):
         share = i / SHARES
         end_x, end_y = x + share * (target_x - x), y + share * (target_y - y)
-        wish_x, wish_y = compute_desired_velocity(x, y, end_x, end_y, duration, z[4], z[5], limit)
-        room = compute_room(plan, memory, k, o, int(strike[AGENT]), time, wish_x, wish_y)
+        wish_x, wish_y = compute_desired_velocity(x, y, end_x, end_y, duration, z.drift[0], z.drift[1], limit)
+        room = compute_room(plan, memory, k, o, strike.robot, time, wish_x, wish_y)
         score = min(compute_margin(plan, knot, end_x, end_y), enough, room) - SMALLEST * share
         if compute_turn(plan, memory, k, o, wish_x, wish_y) < SAME_SIDE:
             score -= OTHER_SIDE
         if score > best:
             best, chosen = score, share
     end_x, end_y = x + chosen * (target_x - x), y + chosen * (target_y - y)
-    return compute_desired_velocity(x, y, end_x, end_y, duration, z[4], z[5], limit)
+    return compute_desired_velocity(x, y, end_x, end_y, duration, z.drift[0], z.drift[1], limit)
 
 
 @compiled
 def compute_turn(plan: PlanTable, memory: WorldMemory, k: int, o: int, wish_x: float, wish_y: float) -> float:
-    """Return the cosine between reference normal and change to a velocity at object o's coming impact; 1 for none."""
+    """Return the cosine between the planned impulse on object o and what a desired velocity needs; 1 without change."""
     strike = memory.strike[k, o]
-    _, _, vx, vy = extrapolate(memory, k, plan.robots + o, strike[TIME])
+    _, _, vx, vy = extrapolate_flight(memory, k, plan.robots + o, strike.time)
     dx, dy = wish_x - vx, wish_y - vy
     size = math.hypot(dx, dy)
-    return 1.0 if size < ROUND_OFF else (dx * strike[REFERENCE_X] + dy * strike[REFERENCE_Y]) / size
+    normal = strike.reference_normal
+    return 1.0 if size < ROUND_OFF else (dx * normal[0] + dy * normal[1]) / size
 
 
 @compiled
 def compute_room(
     plan: PlanTable, memory: WorldMemory, k: int, o: int, r: int, time: float, wish_x: float, wish_y: float
 ) -> float:
-    """Return how deep robot r lies in the areas it may not leave, when it gives object o a velocity at a time [m]."""
+    """Return the margin of robot r to the areas it may not leave, when it gives object o a velocity at a time [m]."""
     body = plan.robots + o
-    x, y, vx, vy = extrapolate(memory, k, body, time)
+    x, y, vx, vy = extrapolate_flight(memory, k, body, time)
     dx, dy = wish_x - vx, wish_y - vy
-    reach = (plan.body[r, RADIUS] + plan.body[body, RADIUS]) / max(math.hypot(dx, dy), ROUND_OFF)
+    reach = (plan.body[r].radius + plan.body[body].radius) / max(math.hypot(dx, dy), ROUND_OFF)
     room = math.inf
     for i in range(plan.own.shape[1]):
         own = plan.own[r, i]
-        if own[0] != 0.0 or own[1] != 0.0:
-            room = min(room, own[2] - own[0] * (x - reach * dx) - own[1] * (y - reach * dy))
+        if own.normal[0] != 0.0 or own.normal[1] != 0.0:
+            room = min(room, own.offset - own.normal[0] * (x - reach * dx) - own.normal[1] * (y - reach * dy))
     return room
 
 
 @compiled
-def hasten(plan: PlanTable, memory: WorldMemory, k: int, o: int) -> None:
-    """Expect the next knot of object o earlier, if the drift it has to fly against would bend its way there too far.
+def hasten_next_knot(plan: PlanTable, memory: WorldMemory, k: int, o: int) -> None:
+    """Expect the next knot of object o earlier, if the drift would bend its way there too far.
 
     A flight of duration L against an acceleration a that it compensates leaves the straight way by a L^2 / 8.
     """
     strike, z = memory.strike[k, o], memory.filter[k, plan.robots + o]
-    knot, due, last = find_next_knot(plan, memory, k, o, strike[INSERTED] > 0.0)
-    drift = math.hypot(z[4], z[5])
-    bend = min(BEND, 0.5 * plan.knot[knot, DEPTH])
-    if last or drift * (due - strike[TIME]) ** 2 <= 8.0 * bend:
+    knot, due, last = find_next_knot(plan, memory, k, o, strike.is_inserted)
+    drift = math.hypot(z.drift[0], z.drift[1])
+    bend = min(BEND, 0.5 * plan.knot[knot].depth)
+    if last or drift * (due - strike.time) ** 2 <= 8.0 * bend:
         return
-    x, y, _, _ = extrapolate(memory, k, plan.robots + o, strike[TIME])
+    x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, strike.time)
     way = math.hypot(memory.place[k, knot, 0] - x, memory.place[k, knot, 1] - y)
-    sooner = strike[TIME] + max(math.sqrt(8.0 * bend / drift), way / CRUISE)
-    sooner = max(sooner, plan.knot[knot, OPEN], compute_arrival(plan, memory, k, knot))
+    sooner = strike.time + max(math.sqrt(8.0 * bend / drift), way / CRUISE)
+    sooner = max(sooner, plan.knot[knot].opens, compute_arrival(plan, memory, k, knot))
     memory.clock[k, knot] = min(sooner, due)
 
 
 @compiled
 def find_share(plan: PlanTable, knot: int, x: float, y: float, target_x: float, target_y: float) -> float:
-    """Return the share of the way from a position to a target at which it is deep enough in what a knot demands."""
-    share, deep = 0.0, DEEP_ENOUGH * plan.knot[knot, DEPTH]
-    for i in range(int(plan.knot[knot, FACES])):
-        hx, hy, b = plan.face[knot, i, 0], plan.face[knot, i, 1], plan.face[knot, i, 2]
+    """Return the share of the way from a position to a target after which it is deep enough inside a knot's faces."""
+    share, deep = 0.0, DEEP_ENOUGH * plan.knot[knot].depth
+    for i in range(plan.knot[knot].faces):
+        face = plan.face[knot, i]
+        hx, hy, b = face.normal[0], face.normal[1], face.offset
         here, there = b - hx * x - hy * y, b - hx * target_x - hy * target_y
         if here < deep and there > here:
             share = max(share, min((deep - here) / (there - here), 1.0))

@@ -1,4 +1,4 @@
-"""The nearest point of a polyhedron by a dual active-set method: small, dense, says if there is none, compiled."""
+"""Project a point onto a polyhedron by a dual active-set method, or report that it is empty; small, dense, compiled."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ FOUND, EMPTY, OUT_OF_STEPS = range(3)
 
 
 @compiled
-def project(rows: np.ndarray, bounds: np.ndarray, count: int, x: np.ndarray, scratch: np.ndarray) -> int:
+def project_point(rows: np.ndarray, bounds: np.ndarray, count: int, x: np.ndarray, scratch: np.ndarray) -> int:
     """Move x to the nearest point with rows x <= bounds, min |x - x_0|^2 / 2, in place.
 
-    From x_0 on the most violated row is made active, step by step, while multipliers u >= 0 of the active rows keep
-    x = x_0 - sum_j u_j a_j; a row whose multiplier comes to nil on the way is let go.
+    From x_0 on make the most violated row active, step by step, while multipliers u >= 0 of the active rows keep
+    x = x_0 - sum_j u_j a_j; drop an active row when its multiplier reaches zero.
 
     Args:
         rows: a_j, shape (>= m, n).

@@ -1,13 +1,13 @@
-"""Whether and when a robot can be somewhere: its thrust, and what it has to hit before; compiled."""
+"""Compute whether and when a robot can be somewhere, given its thrust and its earlier impacts; compiled."""
 
 from __future__ import annotations
 
 import math
 
 from impact_envs.compiled import compiled
-from planners.free_flyer.belief.estimator import extrapolate
-from planners.free_flyer.belief.plan_table import END, NEXT, NORMAL_X, NORMAL_Y, OBJECT, RADIUS, ROBOT, PlanTable
-from planners.free_flyer.belief.world_memory import AGENT, IMPACT_INDEX, INSERTED, TIME, WorldMemory
+from planners.free_flyer.belief.estimator import extrapolate_flight
+from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
+from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT
 
 EASE = 0.75  # of the thrust
@@ -22,30 +22,30 @@ def compute_time(plan: PlanTable, r: int, d: float) -> float:
 
 @compiled
 def find_contact(plan: PlanTable, memory: WorldMemory, k: int, index: int) -> tuple[float, float]:
-    """Return where the robot of a planned impact is to be, with the object where it is wanted and hit as planned."""
-    r, body = int(plan.impact[index, ROBOT]), int(plan.impact[index, OBJECT])
-    reach = plan.body[r, RADIUS] + plan.body[body, RADIUS]
-    x = memory.place[k, index, 0] - reach * plan.impact[index, NORMAL_X]
-    return x, memory.place[k, index, 1] - reach * plan.impact[index, NORMAL_Y]
+    """Return where a planned impact's robot is to be, with the object at its wanted place and the planned normal."""
+    impact = plan.impact[index]
+    reach = plan.body[impact.robot].radius + plan.body[impact.body].radius
+    x = memory.place[k, index, 0] - reach * impact.normal[0]
+    return x, memory.place[k, index, 1] - reach * impact.normal[1]
 
 
 @compiled
 def compute_arrival(plan: PlanTable, memory: WorldMemory, k: int, index: int) -> float:
-    """Return when the robot of a planned impact can be there after what it has to hit before; 0 if there is nothing."""
-    r, arrival = int(plan.impact[index, ROBOT]), 0.0
+    """Return when the robot of a planned impact can be there after its earlier impacts; 0 if it has none."""
+    r, arrival = plan.impact[index].robot, 0.0
     x, y = find_contact(plan, memory, k, index)
     for o in range(len(plan.first)):
         strike = memory.strike[k, o]
-        at, time = int(strike[IMPACT_INDEX]), strike[TIME]
-        if strike[INSERTED] > 0.0 and strike[AGENT] == r:
-            ox, oy, _, _ = extrapolate(memory, k, plan.robots + o, time)
+        at, time = strike.index, strike.time
+        if strike.is_inserted and strike.robot == r:
+            ox, oy, _, _ = extrapolate_flight(memory, k, plan.robots + o, time)
             arrival = max(arrival, time + compute_time(plan, r, math.hypot(x - ox, y - oy)))
-        while at != END and at != index:
+        while at != NO_IMPACT and at != index:
             time = memory.clock[k, at]
-            if plan.impact[at, ROBOT] == r and time < memory.clock[k, index]:
+            if plan.impact[at].robot == r and time < memory.clock[k, index]:
                 ox, oy = find_contact(plan, memory, k, at)
                 arrival = max(arrival, time + compute_time(plan, r, math.hypot(x - ox, y - oy)))
-            at = int(plan.impact[at, NEXT])
+            at = plan.impact[at].next
     return arrival
 
 
@@ -58,11 +58,12 @@ def is_reachable(
     a(tau) = d (60 tau - 180 tau^2 + 120 tau^3) / T^2 + 6 (v - v_0) tau (1 - tau) / T, d = x - x_0 - T (v + v_0) / 2
     """
     z, pilot = memory.filter[k, r], plan.pilot[r]
-    dx, dy = x - z[0] - span / 2 * (vx + z[2]), y - z[1] - span / 2 * (vy + z[3])
+    x_0, y_0, vx_0, vy_0 = z.position[0], z.position[1], z.velocity[0], z.velocity[1]
+    dx, dy = x - x_0 - span / 2 * (vx + vx_0), y - y_0 - span / 2 * (vy + vy_0)
     most = 0.0
     for i in range(1, 8):
         tau = i / 8.0
         way = (60.0 * tau - 180.0 * tau * tau + 120.0 * tau * tau * tau) / (span * span)
         turn = 6.0 * tau * (1.0 - tau) / span
-        most = max(most, math.hypot(way * dx + turn * (vx - z[2]), way * dy + turn * (vy - z[3])))
+        most = max(most, math.hypot(way * dx + turn * (vx - vx_0), way * dy + turn * (vy - vy_0)))
     return most <= EASE * pilot[GAIN] * pilot[INPUT_LIMIT]

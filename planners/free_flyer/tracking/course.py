@@ -1,6 +1,7 @@
-"""Courses: where one robot goes, as its plan read with its own clock plus a quintic; rows of numbers, compiled.
+"""Courses: where one robot goes, as its plan read with its own clock plus a quintic; compiled.
 
-course(t) = plan(tau(t)) + sum_j c_j (t - since)^j until `end`, tau = clock_tau + rate (t - clock_at), at most `stop`
+course(t) = plan(tau(t)) + sum_j c_j (t - since)^j until `until`,
+tau = clock_tau + rate (t - clock_start), at most `stop`
 """
 
 from __future__ import annotations
@@ -13,9 +14,22 @@ import numpy as np
 from impact_envs.compiled import compiled
 from planners.bezier import Curve
 
-# Columns of a course: its clock, then its quintic. IMPACT is 1 if it ends at an impact: it then goes straight on;
-# otherwise the plan goes on.
-CLOCK_AT, CLOCK_TAU, RATE, STOP, IMPACT, SINCE, UNTIL, QUINTIC, COURSE_SIZE = 0, 1, 2, 3, 4, 5, 6, 7, 19
+COURSE = np.dtype(
+    [
+        # The clock by which the plan is read.
+        ("clock_start", float),  # when it was set [s]
+        ("clock_tau", float),  # the plan's time then [s]
+        ("rate", float),  # plan seconds per second
+        ("stop", float),  # the plan's time at which it stops [s]
+        # The quintic that is added.
+        ("since", float),  # it begins [s]
+        ("until", float),  # it ends [s]
+        ("quintic", float, (6, 2)),  # its coefficients c_j [m/s^j]
+        ("ends_in_impact", bool),  # after the quintic the robot goes straight on, otherwise by its plan
+    ],
+    align=True,
+)
+SHORTEST_RETURN = 1.0  # [s]
 TIME_ROUND_OFF = 1e-9  # [s]
 # Position, velocity and acceleration [m, m/s, m/s^2].
 Motion = tuple[float, float, float, float, float, float]
@@ -62,7 +76,6 @@ def evaluate_curve(breaks: np.ndarray, coefficients: np.ndarray, r: int, t: floa
 
     Args:
         breaks, coefficients: of all robots, see `PlanTable`.
-        r: robot.
         t: time [s].
         left: at a breakpoint take the segment before it.
     """
@@ -89,39 +102,35 @@ def evaluate_curve(breaks: np.ndarray, coefficients: np.ndarray, r: int, t: floa
 
 
 @compiled
-def read_clock(course: np.ndarray, k: int, r: int, t: float) -> float:
-    """Return the plan's time at time t on the course of robot r in world k, courses of shape (N, r, 19)."""
-    return course[k, r, CLOCK_TAU] + course[k, r, RATE] * (t - course[k, r, CLOCK_AT])
+def read_clock(course: np.record, t: float) -> float:
+    """Return the plan's time at time t on a COURSE."""
+    return course.clock_tau + course.rate * (t - course.clock_start)
 
 
 @compiled
-def evaluate_course(
-    course: np.ndarray, breaks: np.ndarray, coefficients: np.ndarray, k: int, r: int, t: float
-) -> Motion:
-    """Return the motion of robot r's course in world k; after an impact that did not come it goes straight on.
+def evaluate_course(course: np.record, breaks: np.ndarray, coefficients: np.ndarray, r: int, t: float) -> Motion:
+    """Return the motion of robot r's course; after an impact that did not come it goes straight on.
 
     Args:
-        course: shape (N, r, 19).
+        course: a COURSE.
         breaks, coefficients: of all robots, see `PlanTable`.
-        k: world.
-        r: robot.
         t: time, not before the course's start [s].
     """
-    impact, until = course[k, r, IMPACT] > 0.0, course[k, r, UNTIL]
+    impact, until = course.ends_in_impact, course.until
     now = min(t, until) if impact else t
-    tau, stop, rate = read_clock(course, k, r, now), course[k, r, STOP], course[k, r, RATE]
+    tau, stop, rate = read_clock(course, now), course.stop, course.rate
     stopped = tau > stop + TIME_ROUND_OFF and not impact
     px, py, vx, vy, ax, ay = evaluate_curve(breaks, coefficients, r, min(tau, stop), tau >= stop - TIME_ROUND_OFF)
     if stopped:
         rate = 0.0
     vx, vy, ax, ay = vx * rate, vy * rate, ax * rate * rate, ay * rate * rate
     if now <= until:
-        s = now - course[k, r, SINCE]
+        s = now - course.since
         qx, qy, ux, uy, wx, wy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(5, -1, -1):
             wx, wy = wx * s + 2.0 * ux, wy * s + 2.0 * uy
             ux, uy = ux * s + qx, uy * s + qy
-            qx, qy = qx * s + course[k, r, QUINTIC + 2 * j], qy * s + course[k, r, QUINTIC + 2 * j + 1]
+            qx, qy = qx * s + course.quintic[j, 0], qy * s + course.quintic[j, 1]
         px, py, vx, vy, ax, ay = px + qx, py + qy, vx + ux, vy + uy, ax + wx, ay + wy
     if t > now:
         return px + (t - now) * vx, py + (t - now) * vy, vx, vy, 0.0, 0.0
@@ -129,46 +138,39 @@ def evaluate_course(
 
 
 @compiled
-def fit_quintic(course: np.ndarray, k: int, r: int, begin: Motion, end: Motion) -> None:
-    """Write the polynomial of degree five between two motions into a course, from its SINCE to its UNTIL.
+def fit_quintic(course: np.record, begin: Motion, end: Motion) -> None:
+    """Write the polynomial of degree five between two motions into a COURSE, from its `since` to its `until`.
 
     Args:
-        course: shape (N, r, 19).
-        k: world.
-        r: robot.
-        begin, end: at SINCE and UNTIL.
+        course: a COURSE.
+        begin, end: motions at `since` and `until`.
     """
-    T = course[k, r, UNTIL] - course[k, r, SINCE]
+    T = course.until - course.since
     for axis in range(2):
         c0, c1, c2 = begin[axis], begin[2 + axis], begin[4 + axis] / 2
         p = (end[axis] - (c0 + T * (c1 + T * c2))) / T**3
         v = (end[2 + axis] - (c1 + 2 * T * c2)) / T**2
         a = (end[4 + axis] - 2 * c2) / T
-        row = QUINTIC + axis
-        course[k, r, row], course[k, r, row + 2], course[k, r, row + 4] = c0, c1, c2
-        course[k, r, row + 6] = 10 * p - 4 * v + a / 2
-        course[k, r, row + 8] = (-15 * p + 7 * v - a) / T
-        course[k, r, row + 10] = (6 * p - 3 * v + a / 2) / T**2
+        course.quintic[0, axis], course.quintic[1, axis], course.quintic[2, axis] = c0, c1, c2
+        course.quintic[3, axis] = 10 * p - 4 * v + a / 2
+        course.quintic[4, axis] = (-15 * p + 7 * v - a) / T
+        course.quintic[5, axis] = (6 * p - 3 * v + a / 2) / T**2
 
 
 @compiled
-def subtract(a: Motion, b: Motion) -> Motion:
+def subtract_motion(a: Motion, b: Motion) -> Motion:
     """Return the difference of two motions."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3], a[4] - b[4], a[5] - b[5]
 
 
 @compiled
-def set_clock(
-    course: np.ndarray, k: int, r: int, now: float, tau: float, time: float, planned: float, fastest: float
-) -> None:
+def set_clock(course: np.record, now: float, tau: float, time: float, planned: float, fastest: float) -> None:
     """Set the clock of a course so that the plan stands at an event when the event is expected, and stops there.
 
     rate = (planned - tau) / (time - now), at most `fastest`
 
     Args:
-        course: shape (N, r, 19).
-        k: world.
-        r: robot.
+        course: a COURSE.
         now: present time [s].
         tau: plan's time now [s].
         time: of the event, expected [s].
@@ -179,16 +181,14 @@ def set_clock(
     rate = 1.0
     if time > now and planned > tau:
         rate = min((planned - tau) / (time - now), fastest)
-    course[k, r, CLOCK_AT], course[k, r, CLOCK_TAU] = now, tau
-    course[k, r, RATE], course[k, r, STOP] = rate, planned
+    course.clock_start, course.clock_tau, course.rate, course.stop = now, tau, rate, planned
 
 
 @compiled
-def approach(
-    course: np.ndarray,
+def plan_approach(
+    course: np.record,
     breaks: np.ndarray,
     coefficients: np.ndarray,
-    k: int,
     r: int,
     now: float,
     begin: Motion,
@@ -200,10 +200,8 @@ def approach(
     """Plan the course to an impact: plan + quintic from a motion to contact and velocity at the time of impact.
 
     Args:
-        course: shape (N, r, 19).
+        course: a COURSE, written.
         breaks, coefficients: of all robots, see `PlanTable`.
-        k: world.
-        r: robot.
         now: present time [s].
         begin: motion to start from.
         contact: where to be [m].
@@ -213,25 +211,23 @@ def approach(
 
     Source: Verhagen & Tumova, Eq. 29, with a quintic correction in place of the QP.
     """
-    tau = min(read_clock(course, k, r, now), course[k, r, STOP])
+    tau = min(read_clock(course, now), course.stop)
     still = planned <= tau
-    set_clock(course, k, r, now, tau, time, tau if still else planned, math.inf)
-    course[k, r, RATE] = 0.0 if still else course[k, r, RATE]
-    course[k, r, IMPACT], course[k, r, SINCE], course[k, r, UNTIL] = 1.0, now, time
-    for i in range(QUINTIC, COURSE_SIZE):
-        course[k, r, i] = 0.0
-    base = evaluate_course(course, breaks, coefficients, k, r, now)
-    end = evaluate_course(course, breaks, coefficients, k, r, time)
+    set_clock(course, now, tau, time, tau if still else planned, math.inf)
+    course.rate = 0.0 if still else course.rate
+    course.ends_in_impact, course.since, course.until = True, now, time
+    course.quintic[:] = 0.0
+    base = evaluate_course(course, breaks, coefficients, r, now)
+    end = evaluate_course(course, breaks, coefficients, r, time)
     target = (contact[0], contact[1], velocity[0], velocity[1], end[4], end[5])
-    fit_quintic(course, k, r, subtract(begin, base), subtract(target, end))
+    fit_quintic(course, subtract_motion(begin, base), subtract_motion(target, end))
 
 
 @compiled
 def return_to_plan(
-    course: np.ndarray,
+    course: np.record,
     breaks: np.ndarray,
     coefficients: np.ndarray,
-    k: int,
     r: int,
     now: float,
     begin: tuple[float, float, float, float],
@@ -244,10 +240,8 @@ def return_to_plan(
     """Plan the course back to the plan, in half the time to the next event or less.
 
     Args:
-        course: shape (N, r, 19).
+        course: a COURSE, written.
         breaks, coefficients: of all robots, see `PlanTable`.
-        k: world.
-        r: robot.
         now: present time [s].
         begin: position and velocity to start from, with the plan's acceleration [m, m/s].
         tau: plan's time that belongs to the present [s].
@@ -255,14 +249,10 @@ def return_to_plan(
         longest: duration of the quintic at most [s].
         fastest: plan seconds per second at most.
     """
-    set_clock(course, k, r, now, tau, time, planned, fastest)
-    course[k, r, IMPACT], course[k, r, SINCE] = 0.0, now
-    course[k, r, UNTIL] = now + max(min(longest, (time - now) / 2), SHORTEST_RETURN)
-    for i in range(QUINTIC, COURSE_SIZE):
-        course[k, r, i] = 0.0
-    base = evaluate_course(course, breaks, coefficients, k, r, now)
+    set_clock(course, now, tau, time, planned, fastest)
+    course.ends_in_impact, course.since = False, now
+    course.until = now + max(min(longest, (time - now) / 2), SHORTEST_RETURN)
+    course.quintic[:] = 0.0
+    base = evaluate_course(course, breaks, coefficients, r, now)
     offset = (begin[0] - base[0], begin[1] - base[1], begin[2] - base[2], begin[3] - base[3], 0.0, 0.0)
-    fit_quintic(course, k, r, offset, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-
-
-SHORTEST_RETURN = 1.0  # [s]
+    fit_quintic(course, offset, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from impact_envs import InputError, load_scenario, parallel_env, rollout
+from impact_envs import InputError, parallel_env, rollout
 from impact_envs.env import ImpactEnv
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.physics.impact import Impact
@@ -24,14 +24,10 @@ from planners.free_flyer.tracking.box_qp import NEWTON_STEPS
 from planners.free_flyer.tracking.mpc import STAGES
 from planners.plan import Plan, PlannedImpact
 from tests.frozen.freeze import get_plan
+from tests.planners.free_flyer import plans
+from tests.planners.free_flyer.plans import load
 
 SEED = 1_000_000
-
-
-def load(name: str) -> FreeFlyerScenario:
-    scenario = load_scenario(name)
-    assert isinstance(scenario, FreeFlyerScenario)
-    return scenario
 
 
 @pytest.fixture(scope="module")
@@ -526,29 +522,4 @@ def make_pair() -> tuple[FreeFlyerScenario, Plan]:
         paths[target] = Curve([0.0, time, 20.0], path)
         impacts.append(PlannedImpact(time, name, target, place, contact, n, minus, plus, 0 * n, speed * n))
     curves["idle"] = Curve([0.0, 20.0], [[places["idle"]]])
-    plan = make_plan_of(scenario, tuple(impacts), curves, paths)
-    return scenario, plan
-
-
-def make_plan_of(
-    scenario: FreeFlyerScenario,
-    impacts: tuple[PlannedImpact, ...],
-    robots: dict[str, Curve],
-    objects: dict[str, Curve],
-) -> Plan:
-    return Plan(
-        scenario=scenario.name,
-        objective="robustness",
-        horizon=scenario.horizon,
-        robustness=0.0,
-        bound=0.0,
-        gap=0.0,
-        effort=0.0,
-        effort_bound=None,
-        impacts=impacts,
-        robots=robots,
-        objects=objects,
-        solve_seconds=0.0,
-        stage_seconds={},
-        validated=False,
-    )
+    return scenario, plans.make_plan(scenario, impacts, curves, paths)

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from impact_envs import InputError, load_scenario, parallel_env, vector_env
+from impact_envs import InputError, parallel_env, vector_env
 from impact_envs.env import ImpactEnv
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.free_flyer.belief.options import EXPERT
@@ -16,16 +16,11 @@ from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
 from planners.plan import Plan
 from tests.frozen.freeze import get_plan
+from tests.planners.free_flyer.plans import load
 
 SEED = 1_000_000
 TUNING = 40  # seeds
 LEAST = 0.97  # share of them that succeed with everything disturbed
-
-
-def load(name: str) -> FreeFlyerScenario:
-    scenario = load_scenario(name)
-    assert isinstance(scenario, FreeFlyerScenario)
-    return scenario
 
 
 @cache
@@ -67,7 +62,7 @@ def test_single_and_batch_agree(name: str, suite: str, steps: int) -> None:
             seen[k] = env.step(alone)[0]
         joint = vector.step(actions)[0]
     for k, (_, expert) in enumerate(pairs):
-        assert [int(batch.counts[counter][k]) for counter in COUNTERS] == expert.memory.counts[0].tolist()
+        assert [int(batch.counts[counter][k]) for counter in COUNTERS] == list(expert.memory.counts[0].tolist())
     assert all(count > 0 for count in batch.counts["replans"])
 
 

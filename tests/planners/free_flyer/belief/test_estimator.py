@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from impact_envs import load_scenario
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners.bezier import Curve
 from planners.free_flyer.belief.estimator import (
+    add_jump,
     compute_variance,
     correct_position,
     correct_velocity,
-    extrapolate,
+    extrapolate_flight,
     open_filters,
-    predict,
-    shift,
+    predict_state,
     update_estimates,
 )
 from planners.free_flyer.belief.impact_parameters import NOW, find_row, start_pairs
 from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options
 from planners.free_flyer.belief.plan_table import make_plan_table
-from planners.free_flyer.belief.world_memory import APPROACH, NO_MEASUREMENT, NOBODY, SIGMA, UNKNOWN, make_world_memory
-from planners.plan import Plan
+from planners.free_flyer.belief.world_memory import BLANK_FILTER, FILTER, NOBODY, UNKNOWN, make_world_memory
+from tests.planners.free_flyer.plans import load, make_plan
 
 PERIOD = 0.1
 SNAP, CRACKLE, POP = range(3)
@@ -32,9 +28,7 @@ SNAP, CRACKLE, POP = range(3)
 
 @pytest.fixture(scope="module")
 def scenario() -> FreeFlyerScenario:
-    loaded = load_scenario("throw_and_catch")
-    assert isinstance(loaded, FreeFlyerScenario)
-    return loaded.as_believed()
+    return load("throw_and_catch").as_believed()
 
 
 class World:
@@ -84,11 +78,7 @@ class Estimator:
     """The compiled estimator of the middle one of three worlds."""
 
     def __init__(self, scenario: FreeFlyerScenario, options: Options = EXPERT) -> None:
-        robots = {name: Curve([0.0, scenario.horizon], [[body.start]]) for name, body in scenario.robots.items()}
-        objects = {name: Curve([0.0, scenario.horizon], [[body.start]]) for name, body in scenario.objects.items()}
-        plan = SimpleNamespace(horizon=scenario.horizon, impacts=(), robots=robots, objects=objects)
-        assert set(vars(plan)) <= set(Plan.__dataclass_fields__)
-        self.table = make_plan_table(scenario, plan)  # type: ignore[arg-type]
+        self.table = make_plan_table(scenario, make_plan(scenario))
         self.memory = make_world_memory(self.table, 3)
         open_filters(self.table, self.memory, options, 1)
         start_pairs(self.table, self.memory, 1)
@@ -99,18 +89,18 @@ class Estimator:
         joint = np.full((3, measured.shape[1]), np.nan)
         joint[1] = measured
         update_estimates(self.table, self.memory, 1, joint, world.time)
-        assert not self.memory.filter[::2].any()  # other worlds are left alone
+        assert (self.memory.filter[::2] == BLANK_FILTER).all()  # other worlds are left alone
         assert self.memory.touch[1, CRACKLE] == NOBODY
         return int(self.memory.touch[1, SNAP])
 
     def position(self, body: int) -> np.ndarray:
-        return self.memory.filter[1, body, :2].copy()
+        return self.memory.filter[1, body]["position"].copy()
 
     def velocity(self, body: int) -> np.ndarray:
-        return self.memory.filter[1, body, 2:4].copy()
+        return self.memory.filter[1, body]["velocity"].copy()
 
     def drift(self, body: int) -> np.ndarray:
-        return self.memory.filter[1, body, 4:6].copy()
+        return self.memory.filter[1, body]["drift"].copy()
 
     def error(self, world: World, body: int) -> tuple[float, float]:
         p, v = self.position(body) - world.position[body], self.velocity(body) - world.velocity[body]
@@ -121,24 +111,25 @@ def test_filter_is_the_kalman_filter() -> None:
     rng = np.random.default_rng(0)
     root = rng.normal(size=(3, 3))
     P, mean = root @ root.T, rng.normal(size=(3, 2))
-    z = np.array([*mean.ravel(), P[0, 0], P[0, 1], P[0, 2], P[1, 1], P[1, 2], P[2, 2]])
+    z = np.array([(*mean, *P[np.triu_indices(3)])], FILTER)[0]
     h, sigma, u = 0.3, 0.7, np.array([0.2, -0.4])
     F, G = np.array([[1, h, h * h / 2], [0, 1, h], [0, 0, 1]]), np.array([h * h / 2, h, 0])
     mean, P = F @ mean + np.outer(G, u), F @ P @ F.T + sigma**2 * np.outer(G, G)
-    predict(z, *u, h, sigma)
+    predict_state(z, *u, h, sigma)
     for row, update, variance in ((0, correct_position, 0.04), (1, correct_velocity, 0.09)):
         value = rng.normal(size=2)
         update(z, *value, variance)
         K = P[:, row] / (P[row, row] + variance)
         mean, P = mean + np.outer(K, value - mean[row]), P - np.outer(K, P[row])
-    np.testing.assert_allclose(z[:6], mean.ravel(), atol=1e-13)
-    np.testing.assert_allclose(z[6:], P[np.triu_indices(3)], atol=1e-13)
+    np.testing.assert_allclose([z["position"], z["velocity"], z["drift"]], mean, atol=1e-13)
+    np.testing.assert_allclose(z.tolist()[3:], P[np.triu_indices(3)], atol=1e-13)
 
 
-def test_shift_opens_what_it_moves() -> None:
-    z = np.zeros(12)
-    shift(z, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-    np.testing.assert_allclose(z, [0.1, 0.2, 0.3, 0.4, 0, 0, 0.25, 0, 0, 0.36, 0, 0])
+def test_jump_opens_what_it_moves() -> None:
+    z = np.zeros((), FILTER)[()]
+    add_jump(z, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+    np.testing.assert_allclose([z["position"], z["velocity"], z["drift"]], [[0.1, 0.2], [0.3, 0.4], [0, 0]])
+    np.testing.assert_allclose(z.tolist()[3:], [0.25, 0, 0, 0.36, 0, 0])
 
 
 def test_starts_at_rest_where_the_scenario_says(scenario: FreeFlyerScenario) -> None:
@@ -146,9 +137,9 @@ def test_starts_at_rest_where_the_scenario_says(scenario: FreeFlyerScenario) -> 
     for body, name in enumerate(scenario.bodies):
         np.testing.assert_array_equal(estimator.position(body), scenario.body(name).start)
         assert not estimator.velocity(body).any()
-        assert (estimator.memory.filter[1, body, 11] > 0) == (body == POP)  # only objects drift
+        assert (estimator.memory.filter[1, body]["P_aa"] > 0) == (body == POP)  # only objects drift
     with_learning = Estimator(scenario, VARIANTS["with_learning"])
-    assert with_learning.memory.filter[1, POP, 11] == 0.0
+    assert with_learning.memory.filter[1, POP]["P_aa"] == 0.0
 
 
 def test_exact_measurements_are_believed_through_a_contact(scenario: FreeFlyerScenario) -> None:
@@ -175,7 +166,7 @@ def test_noise_is_learned_and_filtered(scenario: FreeFlyerScenario) -> None:
         if k >= 100:
             errors.append(estimator.error(world, POP))
         world.advance()
-    assert 3.5e-3 < estimator.memory.sensor[1, SIGMA] < 6.5e-3
+    assert 3.5e-3 < estimator.memory.sensor[1]["sigma"] < 6.5e-3
     position, velocity = np.median(errors, axis=0)
     assert position < 2.5e-3  # below the noise of one measurement
     assert velocity < 1.5e-3  # the difference of two measurements errs by 70 mm/s
@@ -188,13 +179,13 @@ def test_spread_of_the_prediction_is_honest(scenario: FreeFlyerScenario) -> None
         world, estimator = World(scenario, sigma=5e-3, drift=(4e-4, -3e-4)), Estimator(scenario)
         world.rng = np.random.default_rng(seed)
         world.velocity[POP] = 0.05, 0.02
-        estimator.memory.filter[1, POP, 9] = 1.0  # how fast it is, is not known
+        estimator.memory.filter[1, POP]["P_vv"] = 1.0  # how fast it is, is not known
         for _ in range(100):
             estimator.update(world.measure(velocity_known=False), world)
             world.advance()
         later = world.time + 10.0
         spread = np.sqrt(compute_variance(estimator.memory, 1, POP, later))
-        position = extrapolate(estimator.memory, 1, POP, later)[:2]
+        position = extrapolate_flight(estimator.memory, 1, POP, later)[:2]
         world.advance(10.0)
         ratios += list((position - world.position[POP]) / spread)
     assert 0.6 < np.std(ratios) < 1.5
@@ -208,7 +199,7 @@ def test_drift_is_found(scenario: FreeFlyerScenario) -> None:
     np.testing.assert_allclose(estimator.drift(POP), world.drift, rtol=0.02)
     assert np.all(estimator.drift(SNAP) == 0.0)
     later = world.time + 10.0
-    x, y, vx, vy = extrapolate(estimator.memory, 1, POP, later)
+    x, y, vx, vy = extrapolate_flight(estimator.memory, 1, POP, later)
     world.advance(later - world.time)
     np.testing.assert_allclose([x, y], world.position[POP], atol=2e-3)
     np.testing.assert_allclose([vx, vy], world.velocity[POP], atol=2e-4)
@@ -228,7 +219,7 @@ def test_contact_makes_the_modelled_jump_before_velocities_are_known(
 ) -> None:
     """A learned restitution is part of the model."""
     world, estimator = World(scenario, sigma=1e-3), Estimator(scenario)
-    estimator.memory.pair[1, NOW, find_row(estimator.memory, SNAP, 0), 0] = restitution
+    estimator.memory.pair_mean[1, NOW, find_row(estimator.memory, SNAP, 0)] = restitution
     world.aim(5.0)
     for _ in range(50):
         estimator.update(world.measure(velocity_known=False), world)
@@ -241,7 +232,7 @@ def test_contact_makes_the_modelled_jump_before_velocities_are_known(
     assert np.linalg.norm(before) < 0.02 * jump
     for body in (SNAP, POP):
         assert np.linalg.norm(estimator.velocity(body) - world.velocity[body]) < 0.1 * jump
-    assert estimator.memory.felt[1, SNAP, APPROACH] == pytest.approx(approach, rel=0.03)
+    assert estimator.memory.felt[1, SNAP]["approach"] == pytest.approx(approach, rel=0.03)
 
 
 def test_missing_measurements_are_bridged_and_counted(scenario: FreeFlyerScenario) -> None:
@@ -254,7 +245,7 @@ def test_missing_measurements_are_bridged_and_counted(scenario: FreeFlyerScenari
         # ten samples tell how exact positions are; the object moves by 8 mm while it is not seen
         assert k < 12 or max(estimator.error(world, POP)) < 1e-6
         world.advance()
-    assert estimator.memory.counts[1, NO_MEASUREMENT] == 20
+    assert estimator.memory.counts["no_measurement"][1] == 20
 
 
 def test_infinite_measurement_is_no_measurement(scenario: FreeFlyerScenario) -> None:
@@ -265,7 +256,7 @@ def test_infinite_measurement_is_no_measurement(scenario: FreeFlyerScenario) -> 
             measured[0, 7 * POP] = np.inf
         estimator.update(measured, world)
         world.advance()
-    assert np.isfinite(estimator.memory.filter[1]).all()
+    assert all(np.isfinite(estimator.memory.filter[name][1]).all() for name in FILTER.names)
     assert max(estimator.error(world, POP)) < 1e-4
 
 
@@ -299,10 +290,10 @@ def test_heading_is_known_up_to_whole_turns_only(scenario: FreeFlyerScenario, tu
     estimator, world = Estimator(scenario), World(scenario)
     estimator.update(world.measure(), world)
     home = scenario.robots["snap"].heading
-    assert estimator.memory.heading[1, SNAP, 0] == pytest.approx(home + 0.3)
+    assert estimator.memory.heading[1, SNAP]["angle"] == pytest.approx(home + 0.3)
     angle = home + 0.4 + 2 * np.pi * turns
     measured = world.measure()
     measured[0, 4:7] = np.cos(angle), np.sin(angle), 0.2
     world.time += PERIOD
     estimator.update(measured, world)
-    np.testing.assert_allclose(estimator.memory.heading[1, SNAP], [home + 0.4, 0.2])
+    assert estimator.memory.heading[1, SNAP].tolist() == pytest.approx((home + 0.4, 0.2))

@@ -7,10 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from impact_envs import load_scenario, parallel_env, vector_env
-from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs import parallel_env, vector_env
 from planners import make_plan
-from planners.bezier import Curve
 from planners.free_flyer.belief.impact_parameters import (
     KNOWN,
     MASS_SPREAD,
@@ -25,42 +23,23 @@ from planners.free_flyer.belief.impact_parameters import (
     find_row,
     get_pair,
     learn_velocity_error,
-    relearn,
-    settle,
+    relearn_pairs,
+    settle_hit,
     start_pairs,
     watch_recoil,
 )
 from planners.free_flyer.belief.options import EXPERT
 from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table
-from planners.free_flyer.belief.world_memory import (
-    APPROACH,
-    CHANGE,
-    FREE_X,
-    GAINED,
-    GAINED_VARIANCE,
-    HIT_AT,
-    HIT_BY,
-    HIT_X,
-    MINUS_X,
-    NOBODY,
-    OBJECT_ERROR,
-    PENDING,
-    PLUS_X,
-    RECOIL,
-    RECOIL_VARIANCE,
-    ROBOT_ERROR,
-    WorldMemory,
-    make_world_memory,
-)
+from planners.free_flyer.belief.world_memory import NOBODY, WorldMemory, make_world_memory
 from planners.free_flyer.closed_loop.world_loop import adopt_world
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
 from planners.free_flyer.next_impact.replanner import solve_strike
-from planners.plan import Plan
+from tests.planners.free_flyer import plans
+from tests.planners.free_flyer.plans import K, load, set_fields
 
 SNAP, CRACKLE = range(2)
 POP, PIP = range(2)
-K = 1  # the world that is looked at, of three
 EXACT = 1e-14  # variance of a velocity that is known [m^2/s^2]
 HEAVY = 1.25  # crackle's mass over snap's
 
@@ -68,8 +47,7 @@ HEAVY = 1.25  # crackle's mass over snap's
 @pytest.fixture(scope="module")
 def table() -> PlanTable:
     """Return what is believed of two robots, of which one is heavier, and two objects."""
-    scenario = load_scenario("throw_and_catch")
-    assert isinstance(scenario, FreeFlyerScenario)
+    scenario = load("throw_and_catch")
     pop, crackle = scenario.objects["pop"].model_dump(), scenario.robots["crackle"]
     scenario = scenario.override(
         {
@@ -78,22 +56,7 @@ def table() -> PlanTable:
             "formula": "F[0,30] pop.x >= -9",
         }
     )
-    curves = {name: Curve([0.0, scenario.horizon], [[scenario.body(name).start]]) for name in scenario.bodies}
-    robots = {name: curves[name] for name in scenario.robots}
-    numbers = dict.fromkeys(("robustness", "bound", "gap", "effort", "solve_seconds"), 0.0)
-    plan = Plan(
-        scenario=scenario.name,
-        objective="robustness",
-        horizon=scenario.horizon,
-        effort_bound=None,
-        impacts=(),
-        robots=robots,
-        objects={name: curves[name] for name in scenario.objects},
-        stage_seconds={},
-        validated=False,
-        **numbers,
-    )
-    return make_plan_table(scenario.as_believed(), plan)
+    return make_plan_table(scenario.as_believed(), plans.make_plan(scenario))
 
 
 @pytest.fixture
@@ -120,14 +83,15 @@ def see(
 ) -> None:
     """Let the last hit on object o be one by robot r, with variances of the velocities of object and robot."""
     hit = memory.hit[K, o]
-    hit[[PENDING, HIT_BY, APPROACH]] = 1.0, r, s
-    hit[[GAINED, RECOIL]], hit[[GAINED_VARIANCE, RECOIL_VARIANCE]] = changes, after
-    hit[[OBJECT_ERROR, ROBOT_ERROR]] = before
-    relearn(memory, K)
+    set_fields(hit, is_pending=True, robot=r)
+    hit["gained"], hit["recoil"] = changes
+    hit["gained_variance"], hit["recoil_variance"] = after
+    set_fields(hit["contact"], approach=s, object_variance=before[0], robot_variance=before[1])
+    relearn_pairs(memory, K)
 
 
 def covariance(memory: WorldMemory) -> np.ndarray:
-    return memory.pair[K, NOW, :, 1:-2].copy()
+    return memory.pair_covariance[K, NOW].copy()
 
 
 def test_starts_with_what_is_believed(table: PlanTable, memory: WorldMemory) -> None:
@@ -136,7 +100,7 @@ def test_starts_with_what_is_believed(table: PlanTable, memory: WorldMemory) -> 
             assert get_pair(memory, K, r, o) == pytest.approx((0.8, ratio), abs=1e-15)
     assert compute_gain_spread(memory, K, SNAP, POP) == pytest.approx(0.13, abs=0.005)
     assert np.linalg.eigvalsh(covariance(memory)).min() > -1e-15
-    assert not memory.pair[::2].any()  # other worlds are left alone
+    assert not memory.pair_mean[::2].any()  # other worlds are left alone
 
 
 @pytest.mark.parametrize("e", [0.0, 0.3, 0.8, 1.0])
@@ -170,8 +134,9 @@ def test_what_is_known_never_gets_less_by_a_hit(memory: WorldMemory) -> None:
         found = covariance(memory)
         np.testing.assert_allclose(found, found.T, atol=1e-15)
         assert np.linalg.eigvalsh(found).min() > -1e-12
-        memory.pair[K, KNOWN] = memory.pair[K, NOW]
-        memory.hit[K, :, PENDING] = 0.0
+        for numbers in (memory.pair_mean, memory.pair_covariance):
+            numbers[K, KNOWN] = numbers[K, NOW]
+        memory.hit["is_pending"][K] = False
         assert np.all(np.diag(found) <= variances + 1e-15)
         variances = np.diag(found)
     assert np.sqrt(variances.max()) < 0.5 * MASS_SPREAD
@@ -195,7 +160,7 @@ def test_object_alone_tells_the_gain_only(memory: WorldMemory) -> None:
 def test_restitution_stays_between_0_and_1_and_the_mass_explains_the_rest(memory: WorldMemory) -> None:
     """A gain of 1.15 needs a light object, one of 0.35 a heavy one, whatever the recoil seems to say."""
     for gain, e in ((1.15, 1.0), (0.35, 0.0)):
-        memory.hit[K, :, PENDING] = 0.0
+        memory.hit["is_pending"][K] = False
         see(memory, SNAP, POP, 0.1, (0.1 * gain, 0.1 * gain), (1e-12, 1e-3))
         restitution, mu = get_pair(memory, K, SNAP, POP)
         assert restitution == pytest.approx(e, abs=1e-12)
@@ -207,10 +172,10 @@ def test_wrong_velocity_before_the_hit_is_not_taken_for_certain(memory: WorldMem
     change, recoil = compute_changes(0.8, 1.3, 0.11)
     seen, i = (change, recoil - 0.01), find_row(memory, SNAP, POP)
     see(memory, SNAP, POP, 0.1, seen, (1e-8, 1e-8), (0.0, 1e-4))
-    error = memory.pair[K, NOW, i : i + 2, 0] - [0.8, math.log(1.3)]
+    error = memory.pair_mean[K, NOW, i : i + 2] - [0.8, math.log(1.3)]
     assert np.all(np.abs(error) < 2 * np.sqrt(np.diag(covariance(memory))[i : i + 2]))
     see(memory, SNAP, POP, 0.1, seen, (1e-8, 1e-8))
-    error = memory.pair[K, NOW, i : i + 2, 0] - [0.8, math.log(1.3)]
+    error = memory.pair_mean[K, NOW, i : i + 2] - [0.8, math.log(1.3)]
     assert np.all(np.abs(error) > 20 * np.sqrt(np.diag(covariance(memory))[i : i + 2]))
 
 
@@ -228,15 +193,15 @@ def test_errors_are_as_large_as_they_say(
         e, b, s = 0.8 + 0.1 * rng.normal(), MASS_SPREAD * rng.normal(), rng.uniform(0.06, 0.14)
         i = find_row(memory, SNAP, POP)
         for version in (NOW, KNOWN):
-            memory.pair[K, version, :, 1:-2] *= (0.1 / RESTITUTION_SPREAD) ** 2
-            memory.pair[K, version, 1::2, 1:-2] *= (RESTITUTION_SPREAD / 0.1) ** 2
+            memory.pair_covariance[K, version] *= (0.1 / RESTITUTION_SPREAD) ** 2
+            memory.pair_covariance[K, version, 1::2] *= (RESTITUTION_SPREAD / 0.1) ** 2
         change, recoil = compute_changes(e, math.exp(b), s)
         object_before, robot_before, object_after, robot_after = sigma * rng.normal(size=4)
         seen = change + object_after - object_before, recoil + robot_before - robot_after
         see(memory, SNAP, POP, s + robot_before - object_before, seen, after, before)
         P = covariance(memory)[i : i + 2, i : i + 2]
-        error = memory.pair[K, NOW, i : i + 2, 0] - [e, b]
-        if e < 0.97 and 0.0 < memory.pair[K, NOW, i, 0] < 0.97:
+        error = memory.pair_mean[K, NOW, i : i + 2] - [e, b]
+        if e < 0.97 and 0.0 < memory.pair_mean[K, NOW, i] < 0.97:
             found.append(error / np.sqrt(np.diag(P)))
     assert len(found) > 300
     np.testing.assert_allclose(np.std(found, axis=0), 1.0, atol=0.15)
@@ -245,41 +210,43 @@ def test_errors_are_as_large_as_they_say(
 def test_hits_that_are_observed_at_the_same_time_do_not_forget_each_other(memory: WorldMemory) -> None:
     see(memory, SNAP, POP, 0.1, compute_changes(0.5, 1.2, 0.1), (1e-8, 1e-8))
     see(memory, CRACKLE, PIP, 0.1, compute_changes(0.5, 0.9 / HEAVY, 0.1), (1e-8, 1e-8))
-    settle(memory, K, POP)  # the next contact of pop
-    relearn(memory, K)
+    settle_hit(memory, K, POP)  # the next contact of pop
+    relearn_pairs(memory, K)
     for r, mass in ((SNAP, 1.0), (CRACKLE, HEAVY)):
         assert get_pair(memory, K, r, POP)[1] == pytest.approx(1.2 / mass, rel=1e-3)
         assert get_pair(memory, K, r, PIP)[1] == pytest.approx(0.9 / mass, rel=1e-3)
     assert get_pair(memory, K, CRACKLE, PIP)[0] == pytest.approx(0.5, abs=1e-3)
     i = find_row(memory, SNAP, POP)
     assert math.sqrt(covariance(memory)[i, i]) == pytest.approx(WANDER, rel=0.1)  # the next hit may differ
-    settle(memory, K, POP)  # only once
-    relearn(memory, K)
+    settle_hit(memory, K, POP)  # only once
+    relearn_pairs(memory, K)
     assert math.sqrt(covariance(memory)[i, i]) == pytest.approx(WANDER, rel=0.1)
 
 
 def test_recoil_is_seen_through_the_thrust_until_the_next_contact(memory: WorldMemory) -> None:
     hit, z = memory.hit[K, POP], memory.filter[K, SNAP]
     memory.touch[K] = NOBODY
-    hit[[PENDING, HIT_BY, HIT_AT, HIT_X, FREE_X, RECOIL_VARIANCE]] = 1.0, SNAP, 10.0, 1.0, 0.1, UNSEEN
+    set_fields(hit, is_pending=True, robot=SNAP, time=10.0, recoil_variance=UNSEEN)
+    set_fields(hit["contact"], normal=(1.0, 0.0), free_velocity=(0.1, 0.0))
     memory.push[K, SNAP] = -0.02, 0.05
     for step, variance in ((0, 1e-3), (1, 1e-4), (2, 2e-5), (3, 1e-3)):
         now = 10.0 + 0.1 * step
         # The hit took 0.07 m/s; what is seen with the large variance is wrong.
-        z[2], z[9] = 0.03 - 0.002 * step + (0.01 if variance == 1e-3 else 0.0), variance
+        z["velocity"][0] = 0.03 - 0.002 * step + (0.01 if variance == 1e-3 else 0.0)
+        z["P_vv"] = variance
         watch_recoil(memory, K, POP, now)
-    assert hit[RECOIL] == pytest.approx(0.07)
-    assert 2e-5 < hit[RECOIL_VARIANCE] < 2e-5 + 5 * THRUST_ERROR**2
-    best = hit[RECOIL_VARIANCE]
-    z[9] = 0.0
+    assert hit["recoil"] == pytest.approx(0.07)
+    assert 2e-5 < hit["recoil_variance"] < 2e-5 + 5 * THRUST_ERROR**2
+    best = hit["recoil_variance"]
+    z["P_vv"] = 0.0
     memory.touch[K, SNAP] = CRACKLE
     watch_recoil(memory, K, POP, 10.4)
     memory.touch[K, SNAP] = NOBODY
     watch_recoil(memory, K, POP, 10.5)
-    assert hit[RECOIL_VARIANCE] == best
-    hit[[HIT_AT, RECOIL_VARIANCE]] = 10.6, UNSEEN
+    assert hit["recoil_variance"] == best
+    set_fields(hit, time=10.6, recoil_variance=UNSEEN)
     watch_recoil(memory, K, POP, 10.6 + 2 * RECOIL_SECONDS)
-    assert hit[RECOIL_VARIANCE] == UNSEEN  # too late
+    assert hit["recoil_variance"] == UNSEEN  # too late
 
 
 def test_how_exact_the_thrust_is_shows_where_velocities_are_measured(memory: WorldMemory) -> None:
@@ -296,8 +263,7 @@ def test_how_exact_the_thrust_is_shows_where_velocities_are_measured(memory: Wor
 @pytest.fixture(scope="module")
 def thrown() -> FreeFlyerExpert:
     """Return the expert 4 s after the first hit in a world of other restitution and mass."""
-    scenario = load_scenario("throw_and_catch")
-    assert isinstance(scenario, FreeFlyerScenario)
+    scenario = load("throw_and_catch")
     world = scenario.override({"true.restitution": 0.45, "true.object_mass_scale": 1.25})
     plan = make_plan(scenario)
     env, expert = parallel_env(world), FreeFlyerExpert(scenario, plan)
@@ -335,9 +301,9 @@ def test_robot_is_expected_to_recoil_by_the_estimated_masses(thrown: FreeFlyerEx
     now = expert.memory.time[0]
     solve_strike(expert.table, expert.memory, EXPERT, 0, CRACKLE, POP, now)
     strike = expert.memory.strike[0, POP]
-    recoil = strike[MINUS_X : MINUS_X + 2] - strike[PLUS_X : PLUS_X + 2]
+    recoil = strike["robot_minus"] - strike["robot_plus"]
     ratio = expert.estimates()["crackle", "pop"].mass_ratio
-    assert np.linalg.norm(recoil) == pytest.approx(ratio * strike[CHANGE])
+    assert np.linalg.norm(recoil) == pytest.approx(ratio * strike["change"])
 
 
 def test_new_plan_keeps_what_was_learned(thrown: FreeFlyerExpert) -> None:
@@ -354,8 +320,7 @@ def test_new_episode_forgets(thrown: FreeFlyerExpert) -> None:
 
 def test_estimates_under_noise_are_as_good_as_they_say() -> None:
     """Positions with 5 mm noise, no velocities, pulsed thrusters of another gain; 4 s after the first hit."""
-    scenario = load_scenario("throw_and_catch")
-    assert isinstance(scenario, FreeFlyerScenario)
+    scenario = load("throw_and_catch")
     fixed = {"true.restitution": 0.6, "true.object_mass_scale": 1.2, "true.thruster_gain": 0.95}
     world, plan, count = scenario.suite("all").override(fixed), make_plan(scenario), 40
     vector, batch = vector_env(world, num_envs=count, threads=1), FreeFlyerExpertBatch(world, plan, count)
@@ -363,8 +328,8 @@ def test_estimates_under_noise_are_as_good_as_they_say() -> None:
     for _ in range(round((plan.impacts[0].time + 4.0) / scenario.control_period)):
         joint = vector.step(batch.act(joint))[0]
     i = find_row(batch.memory, SNAP, POP)
-    found = batch.memory.pair[:, NOW, i : i + 2, 0] - [0.6, math.log(1.2)]
-    spread = np.sqrt(batch.memory.pair[:, NOW, [i, i + 1], [1 + i, 2 + i]])
+    found = batch.memory.pair_mean[:, NOW, i : i + 2] - [0.6, math.log(1.2)]
+    spread = np.sqrt(batch.memory.pair_covariance[:, NOW, [i, i + 1], [i, i + 1]])
     assert np.all(np.abs(found.mean(axis=0)) < [0.6 * 0.2, 0.6 * math.log(1.2)])  # of what was believed wrongly
     assert np.all(np.median(spread, axis=0) < [0.6 * RESTITUTION_SPREAD, 0.75 * MASS_SPREAD])
     ratios = np.sqrt(np.mean((found / spread) ** 2, axis=0))

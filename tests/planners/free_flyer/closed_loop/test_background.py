@@ -18,23 +18,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from impact_envs import InputError, load_scenario, parallel_env, rollout, vector_env
+from impact_envs import InputError, parallel_env, rollout, vector_env
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners import make_plan
 from planners.errors import Infeasible
 from planners.free_flyer.belief.options import EXPERT
-from planners.free_flyer.belief.plan_table import AT, END, make_plan_table
-from planners.free_flyer.belief.world_memory import (
-    COUNTERS,
-    EXTRA,
-    IMPACT_INDEX,
-    INSERTED,
-    LAST,
-    OPTIMISED,
-    PAST_PERIOD,
-    TIME,
-    WorldMemory,
-)
+from planners.free_flyer.belief.plan_table import NO_IMPACT, make_plan_table
+from planners.free_flyer.belief.world_memory import COUNTERS, PAST_PERIOD, WorldMemory
 from planners.free_flyer.closed_loop import background
 from planners.free_flyer.closed_loop.background import APART, DELAY, LEAST_LEFT, MOST_PLANS, Background, answer_requests
 from planners.free_flyer.closed_loop.world_loop import adopt_world, start_world
@@ -42,16 +32,11 @@ from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
 from planners.free_flyer.next_impact.bookkeeping import SETTLE
 from planners.plan import Plan
+from tests.planners.free_flyer.plans import load, set_fields
 
 SEED = 1_000_000
 WANTED = 12.0  # after the first impact of both scenarios, well before the second [s]
 Spoil = Callable[[int, dict[str, np.ndarray]], None]
-
-
-def load(name: str) -> FreeFlyerScenario:
-    scenario = load_scenario(name)
-    assert isinstance(scenario, FreeFlyerScenario)
-    return scenario
 
 
 @cache
@@ -191,7 +176,7 @@ def test_asked_once_and_taken_over_two_seconds_later(name: str) -> None:
     assert (run.wanted[times > WANTED + DELAY + APART + 0.11] == np.inf).all()
     # The new table is one of the whole episode, in its time.
     assert expert.table.horizon == pytest.approx(world.horizon)
-    assert (expert.table.impact[:, AT] > WANTED + DELAY).all()
+    assert (expert.table.impact["time"] > WANTED + DELAY).all()
     assert expert.table.breaks[:, 0] == pytest.approx(WANTED + DELAY)
 
 
@@ -407,7 +392,7 @@ def test_many_worlds_may_ask_before_the_first_answer_is_read(
     def ask() -> None:
         for k in range(count):
             if not over.is_set():
-                asking.look(expert.table, memory, k)
+                asking.poll_plan(expert.table, memory, k)
 
     thread = threading.Thread(target=ask, daemon=True)
     thread.start()
@@ -420,8 +405,8 @@ def test_many_worlds_may_ask_before_the_first_answer_is_read(
     assert not stuck
     memory.time[:] += DELAY
     for k in range(count):
-        assert asking.look(expert.table, memory, k) is None
-    assert (memory.counts[:, COUNTERS.index("no_plan")] == 1).all()
+        assert asking.poll_plan(expert.table, memory, k) is None
+    assert (memory.counts["no_plan"] == 1).all()
     asking.close()
 
 
@@ -597,35 +582,48 @@ def test_adopting_keeps_what_was_learned_and_starting_forgets_it(expert: FreeFly
     assert isinstance(world, FreeFlyerScenario)
     Run(expert, world, (), steps=150)
     memory, now, strike = expert.memory, float(expert.memory.time[0]), expert.memory.strike[0, 0]
-    strike[[EXTRA, INSERTED]] = 3.0, 1.0
-    kept = ("filter", "heading", "sensor", "felt", "hit", "pair", "velocity_error", "past", "time", "touch", "push")
+    set_fields(strike, insertions=3, is_inserted=True)
+    kept = (
+        "filter",
+        "heading",
+        "sensor",
+        "felt",
+        "hit",
+        "pair_mean",
+        "pair_covariance",
+        "velocity_error",
+        "past",
+        "time",
+        "touch",
+        "push",
+    )
     before = {name: getattr(memory, name).copy() for name in memory._fields}
     counts = dict(zip(COUNTERS, before["counts"][0], strict=True))
     adopt_world(expert.table, memory, 0)
     for name in kept:
         np.testing.assert_array_equal(getattr(memory, name), before[name], err_msg=name)
-    assert strike[IMPACT_INDEX] == expert.table.first[0]
-    assert strike[[EXTRA, INSERTED]].tolist() == [0.0, 0.0]
-    assert strike[[LAST, OPTIMISED]].tolist() == [now - SETTLE] * 2  # its flight is known already
-    assert strike[TIME] > now
+    assert strike["index"] == expert.table.first[0]
+    assert (strike["insertions"], strike["is_inserted"]) == (0, False)
+    assert strike["last_contact"] == strike["optimised_at"] == now - SETTLE  # its flight is known already
+    assert strike["time"] > now
     after = dict(zip(COUNTERS, memory.counts[0], strict=True))
     assert after == counts | {"replans": counts["replans"] + 2}  # each robot's way into the new plan
     fresh = make_expert("throw_and_catch").memory
-    assert not np.array_equal(memory.pair[..., :-2], fresh.pair[..., :-2])
+    assert not np.array_equal(memory.pair_mean, fresh.pair_mean)
     memory.wanted[0] = 3.0
     start_world(expert.table, memory, EXPERT, 0)
-    np.testing.assert_array_equal(memory.pair[..., :-2], fresh.pair[..., :-2])  # the rest is for computing
-    for name in ("time", "strike", "hit", "clock", "place", "wanted", "counts", "push"):
+    for name in ("time", "strike", "hit", "pair_mean", "pair_covariance", "clock", "place", "wanted", "counts", "push"):
         np.testing.assert_array_equal(getattr(memory, name), getattr(fresh, name), err_msg=name)
 
 
 def test_script_that_begins_later_is_the_same_one_later() -> None:
     world, plan = load("pong"), plan_of("pong")
     early, late = make_plan_table(world, plan), make_plan_table(world, plan, 7.5)
-    np.testing.assert_allclose(late.impact[:, AT], early.impact[:, AT] + 7.5)
+    np.testing.assert_allclose(late.impact["time"], early.impact["time"] + 7.5)
     np.testing.assert_allclose(late.breaks, early.breaks + 7.5)
-    np.testing.assert_allclose(late.knot[:, 2:4], early.knot[:, 2:4] + 7.5)
+    for name in ("opens", "closes"):
+        np.testing.assert_allclose(late.knot[name], early.knot[name] + 7.5)
     assert late.horizon == early.horizon + 7.5
     np.testing.assert_array_equal(late.coefficients, early.coefficients)
-    assert late.impact[-1, AT] > 0.0
-    assert END not in late.first
+    assert late.impact[-1]["time"] > 0.0
+    assert NO_IMPACT not in late.first

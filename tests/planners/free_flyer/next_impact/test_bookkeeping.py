@@ -8,45 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from impact_envs import load_scenario
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
 from planners.free_flyer.belief.impact_parameters import NOW, compute_gain_spread, compute_pair_gain, find_row
 from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options, encode_options
-from planners.free_flyer.belief.plan_table import DEPTH, END, make_plan_table
-from planners.free_flyer.belief.world_memory import (
-    AGENT,
-    APPROACH,
-    BEFORE_X,
-    BEFORE_Y,
-    CHANGE,
-    CONTACT_X,
-    CONTACT_Y,
-    COUNTERS,
-    DECIDED,
-    FREE_X,
-    HIT_X,
-    IMPACT_INDEX,
-    INSERTED,
-    LAST,
-    LATEST_X,
-    LATEST_Y,
-    MINUS_X,
-    MINUS_Y,
-    MISSES,
-    NOBODY,
-    OUTCOME,
-    RATIO,
-    REPLANNED,
-    SEEN,
-    SOLVED,
-    TIME,
-    UNKNOWN,
-    find_next_event,
-    find_strike,
-    make_world_memory,
-)
-from planners.free_flyer.closed_loop.world_loop import control_world, should_replan, start_world
+from planners.free_flyer.belief.plan_table import NO_IMPACT, make_plan_table
+from planners.free_flyer.belief.world_memory import BLANK_STRIKE, NO_OBJECT, UNKNOWN, find_next_event, find_strike
+from planners.free_flyer.closed_loop.world_loop import control_world, should_replan
 from planners.free_flyer.next_impact.bookkeeping import (
     DECISION_LEAD,
     DECISION_SETTLE,
@@ -60,94 +28,53 @@ from planners.free_flyer.next_impact.bookkeeping import (
     learn_from_hits,
     remember_before,
     set_time,
-    take_contact,
     take_misses,
 )
 from planners.free_flyer.next_impact.desired_velocity import (
     BEND,
     CRUISE,
     DEEP_ENOUGH,
-    aim,
+    choose_desired_velocity,
     compute_desired_velocity,
     compute_margin,
     compute_room,
     compute_turn,
     find_next_knot,
     find_share,
-    hasten,
+    hasten_next_knot,
 )
-from planners.free_flyer.next_impact.replanner import QUICK, STEADY, STEADY_WAY, replan
+from planners.free_flyer.next_impact.replanner import QUICK, STEADY, STEADY_WAY, replan_course
 from planners.free_flyer.next_impact.two_body import Outcome
-from planners.free_flyer.tracking.course import IMPACT, STOP, UNTIL, evaluate_course, read_clock
+from planners.free_flyer.tracking.course import evaluate_course, read_clock
 from planners.free_flyer.tracking.mpc import make_workspace
-from planners.plan import Plan, PlannedImpact
+from planners.plan import Plan
+from tests.planners.free_flyer import plans
+from tests.planners.free_flyer.plans import K, World, load_open, plan_impact, set_fields
 
 HORIZON = 100.0
 SNAP, CRACKLE, POP, PIP = range(4)
-K = 1  # the world that is played, of three
 STILL = VARIANTS["with_learning"]  # neither retries nor insertions
 
 
 def make_scenario(formula: str = "F[0,100] pop.x >= -9") -> FreeFlyerScenario:
-    """Return two robots and two objects, without walls near by."""
-    scenario = load_scenario("throw_and_catch")
-    assert isinstance(scenario, FreeFlyerScenario)
-    item = scenario.objects["pop"].model_dump() | {"rest": False}
-    return scenario.override(
-        {
-            "world.lower": [-200, -200],
-            "world.upper": [200, 200],
-            "objects": {"pop": item | {"start": [0.0, 2.0]}, "pip": item | {"start": [3.0, 3.0]}},
-            "horizon": HORIZON,
-            "formula": formula,
-        }
-    )
+    return load_open(formula, {"pop": (0.0, 2.0), "pip": (3.0, 3.0)}, HORIZON)
 
 
 def make_plan(scenario: FreeFlyerScenario, *impacts: tuple[float, str, str]) -> Plan:
     """Return a plan with impacts (time, robot, object) along x on objects that are at x = time / 10; robots rest."""
-    zero, normal, robots = np.zeros(2), np.array([1.0, 0.0]), scenario.robots
-    planned = tuple(
-        PlannedImpact(t, robot, item, np.array([t / 10, 0.0]), zero, normal, zero, zero, zero, 0.1 * normal)
-        for t, robot, item in impacts
-    )
-    numbers = dict.fromkeys(("robustness", "bound", "gap", "effort", "solve_seconds"), 0.0)
-    return Plan(
-        scenario=scenario.name,
-        objective="robustness",
-        horizon=HORIZON,
-        effort_bound=None,
-        impacts=planned,
-        robots={name: Curve([0.0, HORIZON], [[body.start]]) for name, body in robots.items()},
-        objects={name: Curve([0.0, HORIZON], [[[0.0, 0.0], [7.0, 0.0]]]) for name in scenario.objects},
-        stage_seconds={},
-        validated=False,
-        **numbers,
-    )
+    planned = [plan_impact(t, robot, item, (t / 10, 0.0)) for t, robot, item in impacts]
+    curve = Curve([0.0, HORIZON], [[[0.0, 0.0], [7.0, 0.0]]])
+    return plans.make_plan(scenario, planned, objects=dict.fromkeys(scenario.objects, curve))
 
 
-class Loop:
+class Loop(World):
     """World 1 of three, played step by step."""
-
-    def __init__(self, scenario: FreeFlyerScenario, plan: Plan, options: Options = EXPERT) -> None:
-        self.options, self.table = options, make_plan_table(scenario.as_believed(), plan)
-        self.memory = make_world_memory(self.table, 3)
-        start_world(self.table, self.memory, options, K)
-        self.strike, self.hit = self.memory.strike[K], self.memory.hit[K]
-        self.clock = self.memory.clock[K, : len(self.table.impact)]
-
-    def count(self, name: str) -> int:
-        return int(self.memory.counts[K, COUNTERS.index(name)])
-
-    def contact(self, robot: int, body: int, now: float) -> None:
-        self.memory.touch[K] = NOBODY
-        self.memory.touch[K, robot] = body
-        take_contact(self.table, self.memory, K, robot, now)
 
     def feel(self, robot: int, approach: float) -> None:
         """Let a robot's contact be one along x of a robot that stops, with exact velocities."""
-        self.memory.felt[K, robot] = 0.0
-        self.memory.felt[K, robot, [APPROACH, HIT_X, FREE_X]] = approach, 1.0, approach
+        felt = self.memory.felt[K, robot]
+        set_fields(felt, approach=approach, normal=(1.0, 0.0), free_velocity=(approach, 0.0))
+        set_fields(felt, object_variance=0.0, robot_variance=0.0)
 
     def gain(self, robot: int, item: int) -> float:
         return float(compute_pair_gain(self.memory, K, robot, item))
@@ -156,13 +83,12 @@ class Loop:
         take_misses(self.table, self.memory, self.options, K, now)
 
     def indices(self) -> list[int]:
-        return [int(index) for index in self.strike[:, IMPACT_INDEX]]
+        return self.strike["index"].tolist()
 
-    def see(self, body: int, position: tuple[float, float], velocity: tuple[float, float], now: float) -> None:
-        """Let a body's estimate be exact."""
+    def see_at(self, now: float, body: int, position: tuple[float, float], velocity: tuple[float, float]) -> None:
+        """Let a body's estimate at a time be exact."""
         self.memory.time[K] = now
-        self.memory.filter[K, body] = 0.0
-        self.memory.filter[K, body, :4] = *position, *velocity
+        self.see(body, position, velocity)
 
 
 FOUR = ((10, "snap", "pop"), (30, "crackle", "pop"), (40, "snap", "pip"), (60, "snap", "pop"))
@@ -176,32 +102,32 @@ def loop() -> Loop:
 
 def test_every_object_waits_for_its_own_next_impact(loop: Loop) -> None:
     assert loop.indices() == [0, 2]
-    assert list(loop.strike[:, AGENT]) == [SNAP, SNAP]
+    assert loop.strike["robot"].tolist() == [SNAP, SNAP]
     assert find_strike(loop.memory, K, SNAP) == 0
-    assert find_strike(loop.memory, K, CRACKLE) == END  # pop has to be thrown first
+    assert find_strike(loop.memory, K, CRACKLE) == NO_OBJECT  # pop has to be thrown first
     assert find_next_event(loop.table, loop.memory, K, CRACKLE) == (30.0, 30.0, 1)
     loop.contact(SNAP, POP, 10.1)
     assert loop.indices() == [1, 2]
     assert find_strike(loop.memory, K, CRACKLE) == 0
     assert find_strike(loop.memory, K, SNAP) == 1
     loop.contact(CRACKLE, POP, 30.0)
-    assert find_next_event(loop.table, loop.memory, K, CRACKLE) == (HORIZON, HORIZON, END)
+    assert find_next_event(loop.table, loop.memory, K, CRACKLE) == (HORIZON, HORIZON, NO_IMPACT)
     loop.contact(SNAP, PIP, 40.0)
-    assert loop.indices() == [3, END]
-    assert loop.strike[1, TIME] == math.inf
+    assert loop.indices() == [3, NO_IMPACT]
+    assert loop.strike[1]["time"] == math.inf
     loop.contact(SNAP, POP, 60.0)
-    assert loop.indices() == [END, END]
+    assert loop.indices() == [NO_IMPACT, NO_IMPACT]
     assert loop.count("unplanned_contact") == 0
-    assert not loop.memory.strike[::2].any()  # other worlds are left alone
+    assert (loop.memory.strike[::2] == BLANK_STRIKE).all()  # other worlds are left alone
 
 
 def test_object_flies_to_its_next_knot_or_to_its_end(loop: Loop) -> None:
     knot, time, last = find_next_knot(loop.table, loop.memory, K, 0, False)
     assert (knot, time, last) == (1, 30.0, False)
-    np.testing.assert_array_equal(loop.table.knot[knot, :2], [3.0, 0.0])
+    np.testing.assert_array_equal(loop.table.knot["position"][knot], [3.0, 0.0])
     knot, time, last = find_next_knot(loop.table, loop.memory, K, 1, False)
     assert (knot, time, last) == (5, HORIZON, True)
-    np.testing.assert_array_equal(loop.table.knot[knot, :2], [7.0, 0.0])
+    np.testing.assert_array_equal(loop.table.knot["position"][knot], [7.0, 0.0])
     assert find_next_knot(loop.table, loop.memory, K, 0, True) == (0, 10.0, False)  # after one that is inserted
 
 
@@ -215,12 +141,12 @@ def test_object_flies_to_its_next_knot_or_to_its_end(loop: Loop) -> None:
     ],
 )
 def test_contacts_that_are_none_of_the_plan(loop: Loop, robot: int, body: int, now: float) -> None:
-    loop.memory.course[K, robot, IMPACT] = 1.0
+    loop.memory.course[K, robot]["ends_in_impact"] = True
     loop.contact(robot, body, now)
     assert loop.indices() == [0, 2]
     assert loop.count("unplanned_contact") == 1
-    assert loop.memory.course[K, robot, IMPACT] == 0.0  # it returns to its plan
-    assert loop.strike[0, LAST] == (now if body == POP else -math.inf)
+    assert not loop.memory.course[K, robot]["ends_in_impact"]  # it returns to its plan
+    assert loop.strike[0]["last_contact"] == (now if body == POP else -math.inf)
 
 
 def test_impact_a_little_early_is_the_planned_one(loop: Loop) -> None:
@@ -235,7 +161,7 @@ def test_replans_every_half_second_in_the_window(loop: Loop) -> None:
     for k in range(350):
         now = 0.1 * k
         if now >= 10.0 and should_replan(loop.memory, EXPERT, K, CRACKLE, 0, now):
-            loop.strike[0, REPLANNED] = now
+            loop.strike[0]["replanned_at"] = now
             times.append(now)
     np.testing.assert_allclose(np.diff(times), 0.5)
     assert times[0] == pytest.approx(11.5)  # 20 s before the impact would be earlier: the object has to settle
@@ -246,26 +172,26 @@ def test_published_code_plans_each_impact_once(loop: Loop) -> None:
     once, times = VARIANTS["one_replan"], []
     for k in range(100):
         if should_replan(loop.memory, once, K, SNAP, 0, 0.1 * k):
-            loop.strike[0, REPLANNED] = 0.1 * k
+            loop.strike[0]["replanned_at"] = 0.1 * k
             times.append(0.1 * k)
     assert times == [0.0]
 
 
 def test_correction_is_due_once_per_impact(loop: Loop) -> None:
-    assert find_due(loop.table, loop.memory, K, 10 - DECISION_LEAD - 0.1) == END
+    assert find_due(loop.table, loop.memory, K, 10 - DECISION_LEAD - 0.1) == NO_OBJECT
     assert find_due(loop.table, loop.memory, K, 10 - DECISION_LEAD) == 0
-    loop.strike[0, DECIDED] = 1.0
-    assert find_due(loop.table, loop.memory, K, 9.0) == END
+    loop.strike[0]["is_decided"] = True
+    assert find_due(loop.table, loop.memory, K, 9.0) == NO_OBJECT
     loop.contact(SNAP, POP, 23.0)  # late
     # It would be due at 22 s, but the object is not yet seen well.
-    assert find_due(loop.table, loop.memory, K, 23.0 + DECISION_SETTLE - 0.1) == END
+    assert find_due(loop.table, loop.memory, K, 23.0 + DECISION_SETTLE - 0.1) == NO_OBJECT
     assert find_due(loop.table, loop.memory, K, 23.0 + DECISION_SETTLE) == 0
 
 
 def test_late_impact_leaves_notice_for_the_next_one_and_time_for_the_rest(loop: Loop) -> None:
     loop.contact(SNAP, POP, 29.0)
     late = 29.0 + SHORTEST_NOTICE
-    assert loop.strike[0, TIME] == loop.clock[1] == pytest.approx(late)
+    assert loop.strike[0]["time"] == loop.clock[1] == pytest.approx(late)
     assert loop.clock[3] == pytest.approx(late + 30 * (HORIZON - late) / 70)  # 30 of the 70 s that were left
     assert loop.clock[2] == 40.0  # other objects keep their times
 
@@ -280,8 +206,8 @@ def test_robots_clocks_follow_the_expected_times(loop: Loop) -> None:
     loop.contact(SNAP, POP, 29.0)
     time, planned, index = find_next_event(loop.table, loop.memory, K, CRACKLE)
     assert (time, planned, index) == (29.0 + SHORTEST_NOTICE, 30.0, 1)
-    assert read_clock(loop.memory.course, K, CRACKLE, time) == pytest.approx(planned)
-    assert loop.memory.course[K, CRACKLE, STOP] == planned
+    assert read_clock(loop.course[CRACKLE], time) == pytest.approx(planned)
+    assert loop.course[CRACKLE]["stop"] == planned
 
 
 def test_later_impacts_stay_in_their_windows() -> None:
@@ -297,7 +223,7 @@ def test_later_impacts_stay_in_their_windows() -> None:
 @pytest.mark.parametrize("time", [8.5, 10.0])
 def test_first_impact_is_expected_as_planned_in_its_window(time: float) -> None:
     scenario = make_scenario("F[8,10] pop.x >= 0.8")
-    assert Loop(scenario, make_plan(scenario, (time, "snap", "pop"))).strike[0, TIME] == time
+    assert Loop(scenario, make_plan(scenario, (time, "snap", "pop"))).strike[0]["time"] == time
 
 
 @pytest.mark.parametrize(
@@ -326,12 +252,12 @@ def test_missed_impact_is_tried_again_then_given_up(loop: Loop) -> None:
     now = 10.0
     for k in range(RETRIES):
         loop.miss(now + PATIENCE - 0.1)
-        assert loop.strike[0, MISSES] == k
+        assert loop.count("retry") == k
         loop.miss(now + PATIENCE + 0.1)
-        assert loop.strike[0, MISSES] == loop.count("retry") == k + 1
+        assert loop.count("retry") == k + 1
         now += PATIENCE + 0.1 + RETRY_IN
-        assert loop.strike[0, TIME] == pytest.approx(now)
-        assert loop.strike[0, REPLANNED] == -math.inf  # the course is planned anew
+        assert loop.strike[0]["time"] == pytest.approx(now)
+        assert loop.strike[0]["replanned_at"] == -math.inf  # the course is planned anew
     assert loop.count("give_up") == 0
     loop.miss(now + PATIENCE + 0.1)
     assert loop.indices() == [1, 2]
@@ -347,7 +273,7 @@ def test_variants_without_retiming_give_up_at_once(loop: Loop) -> None:
 
 @pytest.mark.parametrize("outcome", [Outcome.NOT_NEEDED, Outcome.OUT_OF_REACH])
 def test_needless_or_hopeless_impact_is_not_tried_again(loop: Loop, outcome: Outcome) -> None:
-    loop.strike[0, [SOLVED, OUTCOME]] = 1.0, outcome
+    set_fields(loop.strike[0], is_solved=True, outcome=outcome)
     loop.miss(10 + PATIENCE + 0.1)
     assert (loop.count("retry"), loop.count("give_up")) == (0, 1)
 
@@ -356,18 +282,18 @@ def test_no_second_try_after_the_horizon() -> None:
     scenario = make_scenario()
     loop = Loop(scenario, make_plan(scenario, (95.0, "snap", "pop")))
     loop.miss(97.0)
-    assert loop.indices() == [END, END]
+    assert loop.indices() == [NO_IMPACT, NO_IMPACT]
     assert loop.count("retry") == 0
 
 
 def test_after_an_inserted_impact_the_planned_one_is_still_to_come(loop: Loop) -> None:
-    loop.strike[0, [INSERTED, AGENT, TIME]] = 1.0, CRACKLE, 5.0
+    set_fields(loop.strike[0], is_inserted=True, robot=CRACKLE, time=5.0)
     loop.contact(CRACKLE, POP, 5.0)
     assert loop.indices() == [0, 2]
-    assert loop.strike[0, INSERTED] == 0.0
-    assert loop.strike[0, AGENT] == SNAP
-    assert loop.strike[0, TIME] == 10.0
-    loop.strike[0, [INSERTED, AGENT, TIME]] = 1.0, CRACKLE, 7.0
+    assert not loop.strike[0]["is_inserted"]
+    assert loop.strike[0]["robot"] == SNAP
+    assert loop.strike[0]["time"] == 10.0
+    set_fields(loop.strike[0], is_inserted=True, robot=CRACKLE, time=7.0)
     loop.miss(7.0 + PATIENCE + 0.1)  # an inserted one is not tried again
     assert loop.indices() == [0, 2]
     assert (loop.count("retry"), loop.count("give_up")) == (0, 1)
@@ -375,52 +301,52 @@ def test_after_an_inserted_impact_the_planned_one_is_still_to_come(loop: Loop) -
 
 def test_what_was_learned_waits_for_the_velocity_and_ends_with_the_next_contact(loop: Loop) -> None:
     """The robot approaches at 0.1 m/s, which is believed to give 0.09 m/s; it gives 0.07."""
-    loop.strike[0, [SOLVED, CHANGE]] = 1.0, 0.08  # the expert asked for 0.08 m/s
-    loop.see(POP, (0, 0), (0.01, 0.02), 10.0)
+    set_fields(loop.strike[0], is_solved=True, change=0.08)  # the expert asked for 0.08 m/s
+    loop.see_at(10.0, POP, (0, 0), (0.01, 0.02))
     remember_before(loop.table, loop.memory, K)
     loop.feel(SNAP, 0.1)
     loop.contact(SNAP, POP, 10.0)
     before = compute_gain_spread(loop.memory, K, SNAP, 0)
     for now, speed in ((10.9, 0.5), (11.0, 0.07)):
-        loop.see(POP, (0, 0), (0.01 + speed, 0.02), now)
+        loop.see_at(now, POP, (0, 0), (0.01 + speed, 0.02))
         learn_from_hits(loop.table, loop.memory, EXPERT, K, now)
         if now < 11.0:
-            assert loop.hit[0, RATIO] == 0.0
+            assert loop.hit[0]["ratio"] == 0.0
             assert loop.gain(SNAP, 0) == pytest.approx(0.9)
-    assert loop.hit[0, RATIO] == pytest.approx(0.07 / 0.08)
-    assert loop.hit[0, SEEN] == 1.0
+    assert loop.hit[0]["ratio"] == pytest.approx(0.07 / 0.08)
+    assert loop.hit[0]["seen"] == 1
     assert loop.gain(SNAP, 0) == pytest.approx(0.7, abs=0.02)  # what is seen counts more than what was believed
     assert compute_gain_spread(loop.memory, K, SNAP, 0) < 0.4 * before
     learned = loop.gain(SNAP, 0)
     loop.contact(CRACKLE, POP, 13.0)  # not the planned time: a disturbance
-    loop.see(POP, (0, 0), (0.3, 0.0), 15.0)
+    loop.see_at(15.0, POP, (0, 0), (0.3, 0.0))
     learn_from_hits(loop.table, loop.memory, EXPERT, K, 15.0)
-    assert loop.hit[0, RATIO] == pytest.approx(0.07 / 0.08)
+    assert loop.hit[0]["ratio"] == pytest.approx(0.07 / 0.08)
     assert loop.gain(SNAP, 0) == learned
 
 
 def test_drift_is_not_blamed_on_the_impact(loop: Loop) -> None:
-    loop.strike[0, [SOLVED, CHANGE]] = 1.0, 0.09
-    loop.see(POP, (0, 0), (0.0, 0.0), 10.0)
+    set_fields(loop.strike[0], is_solved=True, change=0.09)
+    loop.see_at(10.0, POP, (0, 0), (0.0, 0.0))
     remember_before(loop.table, loop.memory, K)
     loop.feel(SNAP, 0.1)
     loop.contact(SNAP, POP, 10.0)
     flight = 2.0 + loop.table.period  # from the last look before the contact
-    loop.see(POP, (0, 0), (0.09 + flight * 1e-3, flight * 5e-3), 12.0)
-    loop.memory.filter[K, POP, 4:6] = 1e-3, 5e-3
+    loop.see_at(12.0, POP, (0, 0), (0.09 + flight * 1e-3, flight * 5e-3))
+    loop.memory.filter[K, POP]["drift"] = 1e-3, 5e-3
     learn_from_hits(loop.table, loop.memory, EXPERT, K, 12.0)
     assert loop.gain(SNAP, 0) == pytest.approx(0.9, abs=1e-6)
-    assert loop.hit[0, BEFORE_X] == 0.0
+    assert loop.hit[0]["before"][0] == 0.0
 
 
 def test_variants_without_learning_keep_what_is_believed(loop: Loop) -> None:
-    loop.strike[0, [SOLVED, CHANGE]] = 1.0, 0.09
+    set_fields(loop.strike[0], is_solved=True, change=0.09)
     loop.feel(SNAP, 0.1)
     loop.contact(SNAP, POP, 10.0)
-    loop.see(POP, (0, 0), (0.05, 0.0), 12.0)
+    loop.see_at(12.0, POP, (0, 0), (0.05, 0.0))
     learn_from_hits(loop.table, loop.memory, VARIANTS["paper_expert"], K, 12.0)
     assert loop.gain(SNAP, 0) == pytest.approx(0.9, abs=1e-12)
-    assert loop.hit[0, RATIO] == pytest.approx(0.05 / 0.09)  # it is seen all the same, for learners
+    assert loop.hit[0]["ratio"] == pytest.approx(0.05 / 0.09)  # it is seen all the same, for learners
 
 
 def test_desired_velocity_leads_to_the_target_under_drift() -> None:
@@ -433,8 +359,8 @@ def test_desired_velocity_leads_to_the_target_under_drift() -> None:
 
 
 def test_aims_at_the_next_knot(loop: Loop) -> None:
-    loop.see(POP, (0.5, 1.0), (0.01, 0.0), 2.0)
-    wish = np.array(aim(loop.table, loop.memory, EXPERT, K, 0))
+    loop.see_at(2.0, POP, (0.5, 1.0), (0.01, 0.0))
+    wish = np.array(choose_desired_velocity(loop.table, loop.memory, EXPERT, K, 0))
     np.testing.assert_allclose(wish, ([3.0, 0.0] - np.array([0.58, 1.0])) / 20.0, atol=1e-12)
 
 
@@ -447,10 +373,10 @@ def last_aim(
     """Return where the object ends after its last impact at a time, which finds it at a position, flying along x."""
     scenario = make_scenario(GOAL)
     loop = Loop(scenario, make_plan(scenario, (10, "snap", "pop")), options)
-    assert loop.table.knot[1, DEPTH] == 3.0
-    loop.see(POP, (position[0] - speed * (time - now), position[1]), (speed, 0.0), now)
+    assert loop.table.knot[1]["depth"] == 3.0
+    loop.see_at(now, POP, (position[0] - speed * (time - now), position[1]), (speed, 0.0))
     set_time(loop.table, loop.memory, K, 0, 0, time)
-    wish = np.array(aim(loop.table, loop.memory, options, K, 0))
+    wish = np.array(choose_desired_velocity(loop.table, loop.memory, options, K, 0))
     return np.array(position) + (HORIZON - time) * wish
 
 
@@ -487,25 +413,25 @@ def test_room_is_that_of_the_robot_behind_the_object() -> None:
     """To push pop along x, its robot has to stand 0.4 m before it."""
     scenario = make_scenario("G[0,100] (snap.x >= 0.3 & snap.y <= 1.5) & F[0,100] pop.x >= -9")
     loop = Loop(scenario, make_plan(scenario, (10, "snap", "pop")))
-    loop.see(POP, (1.0, 1.0), (0.0, 0.0), 5.0)
+    loop.see_at(5.0, POP, (1.0, 1.0), (0.0, 0.0))
     assert compute_room(loop.table, loop.memory, K, 0, SNAP, 10.0, 0.1, 0.0) == pytest.approx(0.3)
     assert compute_room(loop.table, loop.memory, K, 0, SNAP, 10.0, 0.0, -0.1) == pytest.approx(0.1)
     assert compute_room(loop.table, loop.memory, K, 0, CRACKLE, 10.0, 0.0, -0.1) > 100.0  # only the world's walls
 
 
 def test_turn_is_the_cosine_to_the_planned_normal(loop: Loop) -> None:
-    loop.see(POP, (0.5, 1.0), (0.05, 0.0), 5.0)
+    loop.see_at(5.0, POP, (0.5, 1.0), (0.05, 0.0))
     for angle in (0.0, 0.5, 2.0, math.pi):
         wish = 0.05 + 0.1 * math.cos(angle), 0.1 * math.sin(angle)
         assert compute_turn(loop.table, loop.memory, K, 0, *wish) == pytest.approx(math.cos(angle))
 
 
 def test_drift_makes_the_next_flight_short_enough_to_stay_near_the_straight_way(loop: Loop) -> None:
-    loop.see(POP, (1.0, 0.0), (0.0, 0.0), 5.0)
-    hasten(loop.table, loop.memory, K, 0)
+    loop.see_at(5.0, POP, (1.0, 0.0), (0.0, 0.0))
+    hasten_next_knot(loop.table, loop.memory, K, 0)
     assert loop.clock[1] == 30.0
-    loop.memory.filter[K, POP, 5] = 0.02
-    hasten(loop.table, loop.memory, K, 0)
+    loop.memory.filter[K, POP]["drift"][1] = 0.02
+    hasten_next_knot(loop.table, loop.memory, K, 0)
     # a L^2 / 8 = BEND says L = 10 s; the object is 0.75 m (drift since 5 s: 0.25 m) and 2 m away from its knot
     way = math.hypot(2.0, 0.25)
     assert loop.clock[1] == pytest.approx(10.0 + max(math.sqrt(8 * BEND / 0.02), way / CRUISE))
@@ -513,40 +439,40 @@ def test_drift_makes_the_next_flight_short_enough_to_stay_near_the_straight_way(
 
 
 def test_replan_leads_the_robot_behind_the_object_with_the_speed_that_is_needed(loop: Loop) -> None:
-    loop.see(POP, (1.0, 0.5), (0.0, 0.0), 2.0)
-    loop.see(SNAP, (0.0, 0.5), (0.0, 0.0), 2.0)
-    replan(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
+    loop.see_at(2.0, POP, (1.0, 0.5), (0.0, 0.0))
+    loop.see_at(2.0, SNAP, (0.0, 0.5), (0.0, 0.0))
+    replan_course(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
     wish = (np.array([3.0, 0.0]) - [1.0, 0.5]) / 20.0
     normal, factor = wish / np.linalg.norm(wish), 0.9
-    contact, minus = [CONTACT_X, CONTACT_Y], [MINUS_X, MINUS_Y]
-    np.testing.assert_allclose(loop.strike[0, contact], np.array([1.0, 0.5]) - 0.4 * normal, atol=1e-12)
-    np.testing.assert_allclose(loop.strike[0, minus], np.linalg.norm(wish) / factor * normal, atol=1e-12)
-    assert loop.memory.course[K, SNAP, IMPACT] == 1.0
+    strike = loop.strike[0]
+    np.testing.assert_allclose(strike["contact"], np.array([1.0, 0.5]) - 0.4 * normal, atol=1e-12)
+    np.testing.assert_allclose(strike["robot_minus"], np.linalg.norm(wish) / factor * normal, atol=1e-12)
+    assert loop.course[SNAP]["ends_in_impact"]
     assert (loop.count("replans"), loop.count("lost")) == (1, 0)
     # A restitution that was learned changes the approach, not the aim.
-    loop.memory.pair[K, NOW, find_row(loop.memory, SNAP, 0), 0] = 0.4
-    replan(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
-    np.testing.assert_allclose(loop.strike[0, minus], np.linalg.norm(wish) / 0.7 * normal, atol=1e-12)
+    loop.memory.pair_mean[K, NOW, find_row(loop.memory, SNAP, 0)] = 0.4
+    replan_course(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
+    np.testing.assert_allclose(strike["robot_minus"], np.linalg.norm(wish) / 0.7 * normal, atol=1e-12)
 
 
 @pytest.mark.parametrize(("speed", "steady"), [(0.01, STEADY), (0.02, STEADY_WAY / 0.02 - QUICK), (0.1, 0.0)])
 def test_gentle_hit_comes_at_constant_speed(loop: Loop, speed: float, steady: float) -> None:
     """The object rests so far from its next place that it needs 0.9 times that approach speed."""
-    loop.see(POP, (3.0 - 0.9 * speed * 20.0, 0.0), (0.0, 0.0), 2.0)
-    loop.see(SNAP, (0.0, 0.5), (0.0, 0.0), 2.0)  # where its plan rests
-    replan(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
-    course, contact = loop.memory.course, loop.strike[0, [CONTACT_X, CONTACT_Y]]
+    loop.see_at(2.0, POP, (3.0 - 0.9 * speed * 20.0, 0.0), (0.0, 0.0))
+    loop.see_at(2.0, SNAP, (0.0, 0.5), (0.0, 0.0))  # where its plan rests
+    replan_course(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
+    course, contact = loop.course[SNAP], loop.strike[0]["contact"]
     assert loop.count("lost") == 0
-    assert course[K, SNAP, UNTIL] == pytest.approx(10.0 - steady)
+    assert course["until"] == pytest.approx(10.0 - steady)
     for ahead in np.linspace(0.0, steady, 5):
-        motion = evaluate_course(course, loop.table.breaks, loop.table.coefficients, K, SNAP, 10.0 - ahead)
+        motion = evaluate_course(course, loop.table.breaks, loop.table.coefficients, SNAP, 10.0 - ahead)
         np.testing.assert_allclose(motion[:4], [contact[0] - ahead * speed, contact[1], speed, 0.0], atol=1e-9)
 
 
 def test_robot_that_was_lost_starts_from_where_it_is(loop: Loop) -> None:
-    loop.see(POP, (1.0, 0.5), (0.0, 0.0), 2.0)
-    loop.see(SNAP, (0.0, 2.5), (0.01, 0.0), 2.0)  # its plan rests at (0, 0.5)
-    replan(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
+    loop.see_at(2.0, POP, (1.0, 0.5), (0.0, 0.0))
+    loop.see_at(2.0, SNAP, (0.0, 2.5), (0.01, 0.0))  # its plan rests at (0, 0.5)
+    replan_course(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
     assert loop.count("lost") == 1
 
 
@@ -557,26 +483,25 @@ def test_robot_does_not_set_off_to_a_later_impact_before_an_earlier_one() -> Non
     workspace, actions = make_workspace(), np.zeros((3, 2, 3))
     loop.memory.time[K] = 5.0
     control_world(loop.table, loop.memory, Options(*encode_options(EXPERT)), workspace, 0, K, actions)
-    assert list(loop.strike[:, SOLVED]) == [0.0, 1.0]
-    assert loop.memory.course[K, :, IMPACT].tolist() == [0.0, 1.0]
+    assert loop.strike["is_solved"].tolist() == [False, True]
+    assert loop.course["ends_in_impact"].tolist() == [False, True]
     assert np.isfinite(actions[K]).all()
 
 
 def test_velocity_before_a_contact_is_that_of_the_step_before(loop: Loop) -> None:
-    loop.see(POP, (0, 0), (0.03, 0.01), 9.9)
+    loop.see_at(9.9, POP, (0, 0), (0.03, 0.01))
     remember_before(loop.table, loop.memory, K)
-    loop.see(POP, (0, 0), (0.2, 0.1), 10.0)
-    loop.strike[0, SOLVED] = 1.0
+    loop.see_at(10.0, POP, (0, 0), (0.2, 0.1))
+    loop.strike[0]["is_solved"] = True
     loop.contact(SNAP, POP, 10.0)
-    np.testing.assert_array_equal(loop.hit[0, [LATEST_X, LATEST_Y]], [0.03, 0.01])
-    np.testing.assert_array_equal(loop.hit[0, [BEFORE_X, BEFORE_Y]], [0.03, 0.01])
+    np.testing.assert_array_equal(loop.hit[0]["latest"], [0.03, 0.01])
+    np.testing.assert_array_equal(loop.hit[0]["before"], [0.03, 0.01])
 
 
 def test_plan_without_impacts_is_followed_to_its_end() -> None:
     scenario = make_scenario()
-    empty = replace(make_plan(scenario), impacts=())
-    loop = Loop(scenario, empty)
-    assert loop.indices() == [END, END]
+    loop = Loop(scenario, make_plan(scenario))
+    assert loop.indices() == [NO_IMPACT, NO_IMPACT]
     loop.miss(50.0)
     loop.contact(SNAP, POP, 50.0)
     assert (loop.count("give_up"), loop.count("unplanned_contact")) == (0, 1)

@@ -6,11 +6,11 @@ import pytest
 from scipy import sparse
 
 from planners.cones import solve_clarabel
-from planners.free_flyer.next_impact.projection import EMPTY, FOUND, project
+from planners.free_flyer.next_impact.projection import EMPTY, FOUND, project_point
 
 
 def solve(rows: np.ndarray, bounds: np.ndarray, count: int, x: np.ndarray) -> int:
-    return project(rows, bounds, count, x, np.full((len(x) + 4, len(x) + 1), np.nan))
+    return project_point(rows, bounds, count, x, np.full((len(x) + 4, len(x) + 1), np.nan))
 
 
 @pytest.mark.parametrize("seed", range(30))

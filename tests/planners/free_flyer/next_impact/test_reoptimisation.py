@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import clarabel
@@ -10,43 +11,16 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from impact_envs import load_scenario
-from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners.bezier import Curve
 from planners.cones import solve_clarabel
 from planners.errors import Infeasible
 from planners.free_flyer.belief.options import EXPERT
-from planners.free_flyer.belief.plan_table import (
-    AT,
-    CLOSE,
-    DEPTH,
-    END,
-    FACES,
-    NEXT,
-    NORMAL_X,
-    OPEN,
-    ROBOT,
-    make_plan_table,
-)
-from planners.free_flyer.belief.world_memory import (
-    ASTRAY,
-    COUNTERS,
-    IMPACT_INDEX,
-    INSERTED,
-    LAST,
-    LOOKED,
-    NOBODY,
-    OPTIMISED,
-    TIME,
-    make_world_memory,
-)
-from planners.free_flyer.closed_loop.world_loop import look_ahead, start_world
-from planners.free_flyer.next_impact.bookkeeping import SETTLE, take_contact
+from planners.free_flyer.belief.plan_table import NO_IMPACT
+from planners.free_flyer.closed_loop.world_loop import look_ahead
+from planners.free_flyer.next_impact.bookkeeping import SETTLE
 from planners.free_flyer.next_impact.insertion import LONG_ASTRAY, SOON
 from planners.free_flyer.next_impact.reoptimisation import (
     GAP,
     INSET,
-    MOST_KNOTS,
     NOTICE,
     RESERVE,
     RESERVE_SHARE,
@@ -57,14 +31,14 @@ from planners.free_flyer.next_impact.reoptimisation import (
     SHORTEST_LEG,
     SHORTEST_WAY,
     WIDEST,
-    make_program,
-    reoptimise,
+    reoptimise_rest,
 )
-from planners.plan import Plan, PlannedImpact
+from planners.free_flyer.next_impact.rest_qp import MOST_KNOTS
+from tests.planners.free_flyer.plans import Hit, K, World, load_open, make_straight_plan
 
 HORIZON, HIT, NOW = 100.0, 10.0, 10.0 + SETTLE
 SNAP, CRACKLE, POP = range(3)
-K, C = 1, 1  # the world that is played and the thread that plays it, of three
+C = 1  # the thread that plays, of three
 THRUST = 0.75 * 1.5 / 16.8  # three quarters of the robots' force over their mass [m/s^2]
 REACH = 0.4  # from a robot's centre to that of the object it hits [m]
 FASTEST = SHARE * 0.5  # [m/s]
@@ -74,7 +48,6 @@ SLALOM = (
     "F[27,33] (pop.x >= 2 & pop.x <= 4 & pop.y >= 0.5 & pop.y <= 2) & F[52,62] (pop.x <= 2 & pop.y <= -0.5)"
     " & F[70,84] pop.y >= 1 & G[100,100] (pop.x >= 0.5 & pop.x <= 3 & pop.y <= 2)"
 )
-Hit = tuple[float, str, str, tuple[float, float]]
 LINE: tuple[Hit, ...] = (
     (HIT, "snap", "pop", (1.0, 0.0)),
     (30.0, "crackle", "pop", (3.0, 0.0)),
@@ -90,96 +63,47 @@ SHARED: tuple[Hit, ...] = (*ZIGZAG, (44.0, "crackle", "fizz", (4.0, 0.0)), (68.0
 CASES = {"line": (BAND, LINE), "zigzag": (SLALOM, ZIGZAG), "shared": (SLALOM, SHARED)}
 
 
-def make_scenario(formula: str, hits: tuple[Hit, ...], side: float = 1.0) -> FreeFlyerScenario:
-    base = load_scenario("throw_and_catch")
-    item = base.objects["pop"].model_dump()
-    starts = {name: next(place for _, _, hit, place in hits if hit == name) for name in {h[2] for h in hits}}
-    objects = {name: item | {"start": (x, side * y), "rest": False} for name, (x, y) in sorted(starts.items())[::-1]}
-    world = {"world.lower": [-50, -50], "world.upper": [50, 50], "objects": objects}
-    scenario = base.override(world | {"horizon": HORIZON, "formula": formula})
-    assert isinstance(scenario, FreeFlyerScenario)
-    return scenario
-
-
-def make_plan(scenario: FreeFlyerScenario, hits: tuple[Hit, ...], side: float = 1.0) -> Plan:
-    """Return a plan in which objects fly straight from hit to hit, stay after the last one, and robots rest."""
-    planned, curves = [], {}
-    for name in scenario.objects:
-        mine = sorted(hit for hit in hits if hit[2] == name)
-        points = np.array([hit[3] for hit in mine]) * [1.0, side]
-        points = np.vstack([points[:1], points, points[-1:]])
-        times = np.array([0.0, *(hit[0] for hit in mine), HORIZON])
-        velocity, zero = np.diff(points, axis=0) / np.diff(times)[:, None], np.zeros(2)
-        for k, (time, robot, _, _) in enumerate(mine):
-            change = velocity[k + 1] - velocity[k]
-            normal = change / (np.hypot(*change) or 1.0)
-            pair = (velocity[k], velocity[k + 1])
-            planned.append(PlannedImpact(time, robot, name, points[k + 1], zero, normal, zero, zero, *pair))
-        curves[name] = Curve(times, np.stack([points[:-1], points[1:]], axis=1))
-    numbers = dict.fromkeys(("robustness", "bound", "gap", "effort", "solve_seconds"), 0.0)
-    return Plan(
-        scenario=scenario.name,
-        objective="robustness",
-        horizon=HORIZON,
-        effort_bound=None,
-        impacts=tuple(sorted(planned, key=lambda hit: hit.time)),
-        robots={name: Curve([0.0, HORIZON], [[body.start]]) for name, body in scenario.robots.items()},
-        objects=curves,
-        stage_seconds={},
-        validated=False,
-        **numbers,
-    )
-
-
-class Loop:
+class Loop(World):
     """World 1 of three, after pop's first impact; robots stand at hand, pop flies as it is told to."""
 
     def __init__(self, formula: str, hits: tuple[Hit, ...], side: float = 1.0) -> None:
-        scenario = make_scenario(formula, hits, side)
-        self.table, self.side = make_plan_table(scenario, make_plan(scenario, hits, side)), side
-        self.memory, self.program = make_world_memory(self.table, 3), make_program(3)
-        start_world(self.table, self.memory, ONLY, K)
-        self.strike, self.clock, self.place = (
-            table[K] for table in (self.memory.strike, self.memory.clock, self.memory.place)
-        )
-        self.memory.touch[K] = NOBODY
-        self.memory.touch[K, SNAP] = POP
+        starts = {name: next(place for _, _, hit, place in hits if hit == name) for name in {h[2] for h in hits}}
+        objects = {name: (x, side * y) for name, (x, y) in sorted(starts.items())[::-1]}
+        scenario, self.side = load_open(formula, objects, HORIZON), side
+        super().__init__(scenario, make_straight_plan(scenario, hits, side), ONLY)
+        self.clock = self.memory.clock[K]
         self.memory.time[K] = HIT
-        take_contact(self.table, self.memory, K, SNAP, HIT)
+        self.contact(SNAP, POP, HIT)
         self.memory.time[K] = NOW
         self.see(SNAP, (2.0, -1.5))
         self.see(CRACKLE, (2.5, 1.8))
 
-    def see(self, body: int, position: tuple[float, float], velocity: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Let a body's estimate be exact."""
+    def see(self, body: int, position: Sequence[float], velocity: Sequence[float] = (0.0, 0.0)) -> None:
+        """Let a body's estimate be exact, mirrored as the world is."""
         flip = [1.0, self.side]
-        self.memory.filter[K, body] = 0.0
-        self.memory.filter[K, body, :4] = *np.multiply(position, flip), *np.multiply(velocity, flip)
+        super().see(body, np.multiply(position, flip), np.multiply(velocity, flip))
 
     def fly(self, vx: float, vy: float = 0.0) -> None:
         """Let pop fly with a velocity since its impact."""
         self.see(POP, (1.0 + vx * (NOW - HIT), vy * (NOW - HIT)), (vx, vy))
 
     def optimise(self) -> bool:
-        return bool(reoptimise(self.table, self.memory, self.program, C, K, 0, NOW))
-
-    def count(self, name: str) -> int:
-        return int(self.memory.counts[K, COUNTERS.index(name)])
+        return bool(reoptimise_rest(self.table, self.memory, self.qp, C, K, 0, NOW))
 
     def chain(self) -> list[int]:
         """Return pop's knots that are left, the end included."""
-        found, at = [], int(self.strike[0, IMPACT_INDEX])
-        while at != END:
+        found, at = [], int(self.strike[0]["index"])
+        while at != NO_IMPACT:
             found.append(at)
-            at = int(self.table.impact[at, NEXT])
+            at = int(self.table.impact[at]["next"])
         return [*found, len(self.table.impact)]
 
 
 def disturb(loop: Loop, seed: int) -> None:
     """Let pop's first throw go wrong, and robots stand somewhere else."""
     rng = np.random.default_rng(seed)
-    first = loop.table.knot[loop.chain()[0], :2]
-    right = (first - [1.0, 0.0]) / (loop.table.impact[loop.chain()[0], AT] - HIT) * [1.0, loop.side]
+    first = loop.table.knot[loop.chain()[0]]["position"]
+    right = (first - [1.0, 0.0]) / (loop.table.impact[loop.chain()[0]]["time"] - HIT) * [1.0, loop.side]
     fx, fy = rng.uniform(0.75, 1.3) * right + rng.uniform(-0.02, 0.02, 2)
     loop.fly(fx, fy)
     for robot, x, y in ((SNAP, 2.0, -1.5), (CRACKLE, 2.5, 1.8)):
@@ -202,10 +126,10 @@ def make_problem(loop: Loop) -> Problem:
     m = len(chain) - 1
     size = 3 * m + 1
     unit = np.eye(size)
-    z = loop.memory.filter[K, POP]
+    x, v = read_flight(loop)
     # An expression is a pair (row over y, constant).
     times = [(unit[i], 0.0) for i in range(m)] + [(np.zeros(size), HORIZON)]
-    places = [[(z[2 + a] * unit[0], z[a] - z[2 + a] * NOW) for a in range(2)]]
+    places = [[(v[a] * unit[0], x[a] - v[a] * NOW) for a in range(2)]]
     places += [[(unit[m + 2 * i + a], 0.0) for a in range(2)] for i in range(m)]
     rho = unit[-1]
     rows: list[tuple[np.ndarray, float]] = []
@@ -213,18 +137,18 @@ def make_problem(loop: Loop) -> Problem:
     def at_most(row: np.ndarray, constant: float, bound: float) -> None:
         rows.append((row, bound - constant))
 
-    residuals = [(rho / SCALE_RHO, min([*table.knot[chain, DEPTH], np.inf]) / SCALE_RHO)]
+    residuals = [(rho / SCALE_RHO, min([*table.knot[chain]["depth"], np.inf]) / SCALE_RHO)]
     if not np.isfinite(residuals[0][1]):
         residuals = [(rho / SCALE_RHO, 0.0)]
     for i, knot in enumerate(chain):
         for a in range(2):
             row, constant = places[i][a]
-            residuals.append((row / SCALE_PLACE, (table.knot[knot, a] - constant) / SCALE_PLACE))
-        for x, y, bound in table.face[knot, : int(table.knot[knot, FACES])]:
-            row = x * places[i][0][0] + y * places[i][1][0] + rho
-            at_most(row, x * places[i][0][1] + y * places[i][1][1], bound)
+            residuals.append((row / SCALE_PLACE, (table.knot[knot]["position"][a] - constant) / SCALE_PLACE))
+        for (hx, hy), bound in table.face[knot, : table.knot[knot]["faces"]]:
+            row = hx * places[i][0][0] + hy * places[i][1][0] + rho
+            at_most(row, hx * places[i][0][1] + hy * places[i][1][1], bound)
     for i, knot in enumerate(chain[:-1]):
-        old, opens, closes = loop.clock[knot], table.knot[knot, OPEN], table.knot[knot, CLOSE]
+        old, opens, closes = loop.clock[knot], table.knot[knot]["opens"], table.knot[knot]["closes"]
         residuals.append((unit[i] / SCALE_TIME, old / SCALE_TIME))
         inset = min(INSET, (closes - opens) / 4)
         latest = max(HORIZON - max(RESERVE, RESERVE_SHARE * HORIZON), old)
@@ -232,20 +156,20 @@ def make_problem(loop: Loop) -> Problem:
         soonest = max(opens + inset, min(NOW + NOTICE, old)) if i == 0 else opens + inset
         at_most(-unit[i], 0.0, -soonest)
         if i:
-            planned = table.impact[knot, AT] - table.impact[chain[i - 1], AT]
+            planned = table.impact[knot]["time"] - table.impact[chain[i - 1]]["time"]
             at_most(unit[i - 1] - unit[i], 0.0, -min(GAP, planned))
     for i in range(m):
         leg = [(places[i + 1][a][0] - places[i][a][0], places[i + 1][a][1] - places[i][a][1]) for a in range(2)]
         span = (times[i + 1][0] - times[i][0], times[i + 1][1] - times[i][1])
         for (row, constant), sign in itertools.product(leg, (1.0, -1.0)):
             at_most(sign * row - FASTEST * span[0], sign * constant - FASTEST * span[1], 0.0)
-        wish = table.knot[chain[i + 1], :2] - table.knot[chain[i], :2]
+        wish = table.knot[chain[i + 1]]["position"] - table.knot[chain[i]]["position"]
         if np.hypot(*wish) < SHORTEST_LEG:
             continue
         for knot, way in ((chain[i], 1.0), (chain[i + 1], -1.0)):
             if knot == chain[-1]:
                 continue
-            n = table.impact[knot, NORMAL_X : NORMAL_X + 2]
+            n = table.impact[knot]["normal"]
             side = np.array([-n[1], n[0]])
             if abs(side @ wish) > WIDEST * way * (n @ wish):
                 continue
@@ -257,6 +181,12 @@ def make_problem(loop: Loop) -> Problem:
     return Problem(*(np.array(part, float) for part in (*zip(*residuals, strict=True), *zip(*rows, strict=True))))
 
 
+def read_flight(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
+    """Return pop's position and velocity."""
+    z = loop.memory.filter[K, POP]
+    return z["position"], z["velocity"]
+
+
 def compute_span(way: float) -> float:
     """Return how long a robot takes for a way from rest to rest by a quintic [s]."""
     return float(np.sqrt(10.0 / np.sqrt(3.0) * way / THRUST))
@@ -265,10 +195,10 @@ def compute_span(way: float) -> float:
 def robot_rows(loop: Loop, chain: list[int], times: list, places: list) -> list[tuple[np.ndarray, float, float]]:
     """Return what gives robots time: the tangent of the square root at the way that is expected now."""
     table, found = loop.table, []
-    z = loop.memory.filter[K, POP]
+    x, v = read_flight(loop)
     expected = {knot: loop.place[knot].copy() for knot in range(len(table.impact))}
-    expected[chain[0]] = z[:2] + z[2:4] * (loop.clock[chain[0]] - NOW)
-    stand = {i: expected[i] - REACH * table.impact[i, NORMAL_X : NORMAL_X + 2] for i in expected}
+    expected[chain[0]] = x + v * (loop.clock[chain[0]] - NOW)
+    stand = {i: expected[i] - REACH * table.impact[i]["normal"] for i in expected}
 
     def give(i: int, since: np.ndarray, other: tuple[np.ndarray, float], sign: float, longest: float) -> None:
         knot = chain[i]
@@ -281,18 +211,18 @@ def robot_rows(loop: Loop, chain: list[int], times: list, places: list) -> list[
         found.append((row, constant, 0.0))
 
     for i, knot in enumerate(chain[:-1]):
-        r = int(table.impact[knot, ROBOT])
-        mine = [j for j in range(i) if table.impact[chain[j], ROBOT] == r]
+        r = int(table.impact[knot]["robot"])
+        mine = [j for j in range(i) if table.impact[chain[j]]["robot"] == r]
         if mine:
             j = mine[-1]
-            longest = table.impact[knot, AT] - table.impact[chain[j], AT]
+            longest = table.impact[knot]["time"] - table.impact[chain[j]]["time"]
             give(i, stand[chain[j]], times[j], 1.0, longest)
         else:
-            give(i, loop.memory.filter[K, r, :2], (np.zeros(len(times[0][0])), NOW), 1.0, np.inf)
+            give(i, loop.memory.filter[K, r]["position"], (np.zeros(len(times[0][0])), NOW), 1.0, np.inf)
         for other in range(len(table.impact)):
-            if other not in chain and table.impact[other, AT] > HIT and table.impact[other, ROBOT] == r:
+            if other not in chain and table.impact[other]["time"] > HIT and table.impact[other]["robot"] == r:
                 sign = 1.0 if loop.clock[knot] >= loop.clock[other] else -1.0
-                longest = abs(table.impact[knot, AT] - table.impact[other, AT])
+                longest = abs(table.impact[knot]["time"] - table.impact[other]["time"])
                 give(i, stand[other], (np.zeros(len(times[0][0])), loop.clock[other]), sign, longest)
     return found
 
@@ -315,7 +245,7 @@ def make_loop(case: str, seed: int | None = None) -> Loop:
     loop = Loop(*CASES[case])
     if seed is None:
         first = loop.chain()[0]
-        vx, vy = (loop.table.knot[first, :2] - [1.0, 0.0]) / (loop.table.impact[first, AT] - HIT)
+        vx, vy = (loop.table.knot[first]["position"] - [1.0, 0.0]) / (loop.table.impact[first]["time"] - HIT)
         loop.fly(vx, vy)
     else:
         disturb(loop, seed)
@@ -346,11 +276,11 @@ def test_plan_on_time_keeps_its_clocks_and_places(formula: str) -> None:
     assert loop.optimise()
     np.testing.assert_allclose(loop.clock, clocks, atol=1e-6)
     np.testing.assert_allclose(loop.place, places, atol=1e-6)
-    assert loop.strike[0, TIME] == loop.clock[1]
+    assert loop.strike[0]["time"] == loop.clock[1]
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(3))
 def test_every_promise_is_kept_after_a_wrong_throw(case: str, seed: int) -> None:
     loop = make_loop(case, seed)
     problem, chain, table = make_problem(loop), loop.chain(), loop.table
@@ -359,13 +289,13 @@ def test_every_promise_is_kept_after_a_wrong_throw(case: str, seed: int) -> None
     check_rows(loop, problem)
     times = loop.clock[chain[:-1]]
     assert np.abs(read_point(loop) - before).max() > 1e-3
-    assert loop.strike[0, TIME] == times[0]
+    assert loop.strike[0]["time"] == times[0]
     # The same without the tables of rows: windows, order, reserve, speed.
-    assert (times >= table.knot[chain[:-1], OPEN] - 1e-7).all()
-    assert (times <= table.knot[chain[:-1], CLOSE] + 1e-7).all()
+    assert (times >= table.knot[chain[:-1]]["opens"] - 1e-7).all()
+    assert (times <= table.knot[chain[:-1]]["closes"] + 1e-7).all()
     assert (np.diff(times) >= GAP - 1e-7).all()
     assert times[-1] <= HORIZON - RESERVE_SHARE * HORIZON + 1e-7
-    x, v = loop.memory.filter[K, POP, :2], loop.memory.filter[K, POP, 2:4]
+    x, v = read_flight(loop)
     points = np.vstack([x + v * (times[0] - NOW), loop.place[chain[1:]]])
     speeds = np.abs(np.diff(points, axis=0)) / np.diff([*times, HORIZON])[:, None]
     assert speeds.max() <= FASTEST + 1e-7
@@ -377,18 +307,18 @@ def test_every_promise_is_kept_after_a_wrong_throw(case: str, seed: int) -> None
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(3))
 def test_margin_is_the_plans_or_what_is_left_of_it(case: str, seed: int) -> None:
     loop = make_loop(case, seed)
-    problem, planned = make_problem(loop), loop.table.knot[loop.chain(), DEPTH].min()
+    problem, planned = make_problem(loop), loop.table.knot[loop.chain()]["depth"].min()
     assert loop.optimise()
-    rho = loop.program.centre[C, len(problem.J[0]) - 1] + SCALE_RHO * loop.program.point[C, len(problem.J[0]) - 1]
+    rho = loop.qp.centre[C, len(problem.J[0]) - 1] + SCALE_RHO * loop.qp.point[C, len(problem.J[0]) - 1]
     assert rho <= planned + 1e-9
     assert check_rows(loop, problem) >= rho - 1e-7
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(3))
 def test_point_is_an_interior_point_solvers(case: str, seed: int) -> None:
     loop = make_loop(case, seed)
     problem = make_problem(loop)
@@ -402,7 +332,7 @@ def test_point_is_an_interior_point_solvers(case: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(3))
 def test_mirrored_world_is_optimised_mirrored(case: str, seed: int) -> None:
     formula, hits = CASES[case]
     loop = make_loop(case, seed)
@@ -410,7 +340,9 @@ def test_mirrored_world_is_optimised_mirrored(case: str, seed: int) -> None:
     turned = turned.replace("pop.y <= -0.5)", "pop.y >= 0.5)").replace("84] pop.y >= 1", "84] pop.y <= -1")
     turned = turned.replace("pop.y <= 2)", "pop.y >= -2)") if formula == SLALOM else formula
     mirrored = Loop(turned, hits, -1.0)
-    mirrored.memory.filter[K] = loop.memory.filter[K] * np.array([1, -1] * 3 + [1] * 6)
+    mirrored.memory.filter[K] = loop.memory.filter[K]
+    for name in ("position", "velocity", "drift"):
+        mirrored.memory.filter[name][K, :, 1] *= -1
     assert loop.optimise()
     assert mirrored.optimise()
     np.testing.assert_allclose(mirrored.clock, loop.clock, atol=1e-7)
@@ -437,7 +369,7 @@ def test_impact_comes_no_sooner_than_there_is_notice() -> None:
     assert loop.optimise()
     assert loop.clock[1] == pytest.approx(NOW + NOTICE)
     near = Loop(BAND, hits)
-    near.clock[1] = near.strike[0, TIME] = NOW + 2.5
+    near.clock[1] = near.strike[0]["time"] = NOW + 2.5
     near.fly(0.4)
     near.see(CRACKLE, (3.0, 0.1))
     assert near.optimise()
@@ -457,7 +389,7 @@ def test_robot_that_comes_late_is_waited_for() -> None:
     assert loop.optimise()
     assert loop.clock[1] > 40.0
     place = np.array([1.0 + 0.1 * (loop.clock[1] - HIT), 0.0])
-    way = place - REACH * loop.table.impact[1, NORMAL_X : NORMAL_X + 2] - [2.0, 48.0]
+    way = place - REACH * loop.table.impact[1]["normal"] - [2.0, 48.0]
     # A tangent takes the way's length and its change along the way expected before: 0.15 s too little here.
     assert loop.clock[1] - NOW >= compute_span(float(np.hypot(*way))) - 0.3
 
@@ -472,19 +404,14 @@ def test_no_feasible_point_is_said_and_changes_nothing() -> None:
         np.testing.assert_array_equal(table, old)
 
 
-def look(loop: Loop, now: float) -> None:
-    loop.memory.time[K] = now
-    look_ahead(loop.table, loop.memory, ONLY, loop.program, C, K, now)
-
-
 def test_no_optimum_is_counted_once_per_impact_and_a_flight_astray_asks_sooner_for_a_new_plan() -> None:
     loop = far_robot()
     clocks = loop.clock.copy()
     for step in range(20):
-        look(loop, NOW + 0.1 * step)
+        loop.look(NOW + 0.1 * step)
     assert (loop.count("no_optimum"), loop.count("reoptimised")) == (1, 0)
     assert (loop.memory.wanted == np.inf).all()
-    assert loop.strike[0, ASTRAY] == pytest.approx(NOW - LONG_ASTRAY + SOON)
+    assert loop.strike[0]["astray_since"] == pytest.approx(NOW - LONG_ASTRAY + SOON)
     np.testing.assert_array_equal(loop.clock, clocks)
 
 
@@ -494,16 +421,16 @@ def test_optimised_once_after_every_contact_when_the_flight_is_known() -> None:
     times = []
     for step in range(40):
         now, before = HIT + 0.1 * step, loop.count("reoptimised")
-        look(loop, now)
+        loop.look(now)
         times += [now] * (loop.count("reoptimised") - before)
     assert times == pytest.approx([NOW])
-    assert loop.strike[0, OPTIMISED] == pytest.approx(NOW)
+    assert loop.strike[0]["optimised_at"] == pytest.approx(NOW)
     assert loop.memory.wanted[K] == np.inf
-    loop.strike[0, LAST] = 40.0
+    loop.strike[0]["last_contact"] = 40.0
     for step in range(30):
-        look(loop, 40.0 + 0.1 * step)
+        loop.look(40.0 + 0.1 * step)
     assert loop.count("reoptimised") == 2
-    assert loop.strike[0, OPTIMISED] == pytest.approx(40.0 + SETTLE)
+    assert loop.strike[0]["optimised_at"] == pytest.approx(40.0 + SETTLE)
 
 
 @pytest.mark.parametrize("change", ["option", "inserted", "over", "unsettled"])
@@ -512,24 +439,25 @@ def test_not_optimised_where_there_is_nothing_to_be_done(change: str) -> None:
     loop.fly(0.08)
     options, now = ONLY._replace(reoptimise=change != "option"), NOW if change != "unsettled" else NOW - 0.2
     if change == "inserted":
-        loop.strike[0, INSERTED] = 1.0
+        loop.strike[0]["is_inserted"] = True
     if change == "over":
-        loop.strike[0, IMPACT_INDEX] = END
+        loop.strike[0]["index"] = NO_IMPACT
     clocks = loop.clock.copy()
-    loop.strike[0, LOOKED] = -np.inf
-    look_ahead(loop.table, loop.memory, options, loop.program, C, K, now)
+    loop.strike[0]["looked_at"] = -np.inf
+    look_ahead(loop.table, loop.memory, options, loop.qp, C, K, now)
     assert (loop.count("no_optimum"), loop.count("reoptimised")) == (0, 0)
     np.testing.assert_array_equal(loop.clock, clocks)
 
 
 def test_threads_optimise_in_places_of_their_own() -> None:
     loop, other = make_loop("zigzag", 0), make_loop("zigzag", 0)
-    for part in loop.program:
+    for part in loop.qp:
         part[[0, 2]] = 7
+    others = [part[[0, 2]] for part in loop.qp]
     assert loop.optimise()
-    for part in loop.program:
-        assert (part[[0, 2]] == 7).all()
-    assert reoptimise(other.table, other.memory, other.program, 2, K, 0, NOW)
+    for part, before in zip(loop.qp, others, strict=True):
+        np.testing.assert_array_equal(part[[0, 2]], before)
+    assert reoptimise_rest(other.table, other.memory, other.qp, 2, K, 0, NOW)
     np.testing.assert_array_equal(other.clock, loop.clock)
     np.testing.assert_array_equal(other.place, loop.place)
 

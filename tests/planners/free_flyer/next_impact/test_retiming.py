@@ -7,37 +7,19 @@ import math
 import numpy as np
 import pytest
 
-from impact_envs import load_scenario
-from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners.bezier import Curve
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain
 from planners.free_flyer.belief.options import VARIANTS, Options
-from planners.free_flyer.belief.plan_table import END, make_plan_table
-from planners.free_flyer.belief.world_memory import (
-    AGENT,
-    COUNTERS,
-    DECIDED,
-    IMPACT_INDEX,
-    INSERTED,
-    NOBODY,
-    REFERENCE_X,
-    REFERENCE_Y,
-    TIME,
-    make_world_memory,
-)
-from planners.free_flyer.closed_loop.world_loop import look_ahead, start_world
-from planners.free_flyer.next_impact.bookkeeping import SETTLE, take_contact
+from planners.free_flyer.belief.plan_table import NO_IMPACT
+from planners.free_flyer.next_impact.bookkeeping import SETTLE
 from planners.free_flyer.next_impact.desired_velocity import CRUISE
 from planners.free_flyer.next_impact.insertion import LEADS, LEAST_LEG, LONG_ASTRAY, MOST_INSERTED, SIDE
 from planners.free_flyer.next_impact.reachability import EASE, is_reachable
-from planners.free_flyer.next_impact.reoptimisation import make_program
 from planners.free_flyer.next_impact.retiming import FROZEN, RESERVE_SHARE, compute_reserve
-from planners.free_flyer.tracking.course import COURSE_SIZE, IMPACT, SINCE, UNTIL, evaluate_course, fit_quintic
-from planners.plan import Plan, PlannedImpact
+from planners.free_flyer.tracking.course import COURSE, evaluate_course, fit_quintic
+from tests.planners.free_flyer.plans import K, World, load_open, make_straight_plan, set_fields
 
 HORIZON, HIT = 100.0, 10.0
 SNAP, CRACKLE, POP = range(3)
-K = 1  # the world that is played, of three
 BOTH = VARIANTS["with_insertion"]  # impacts are moved and inserted, what is left of the plan is not chosen anew
 FIXED = BOTH._replace(retime=False)  # where the object is late or early, it is hit once more or not at all
 BAND = "G[0,100] (pop.y <= 0.5 & pop.y >= -0.5)"  # the plan is 0.5 m deep in it
@@ -45,40 +27,7 @@ BAND = "G[0,100] (pop.y <= 0.5 & pop.y >= -0.5)"  # the plan is 0.5 m deep in it
 THREE = ((HIT, "snap", 1.0), (30.0, "crackle", 3.0), (60.0, "snap", 1.5))
 
 
-def make_scenario(formula: str) -> FreeFlyerScenario:
-    scenario = load_scenario("throw_and_catch")
-    assert isinstance(scenario, FreeFlyerScenario)
-    world = {"world.lower": [-50, -50], "world.upper": [50, 50], "objects.pop.rest": False}
-    return scenario.override(world | {"horizon": HORIZON, "formula": formula})
-
-
-def make_plan(scenario: FreeFlyerScenario, impacts: tuple[tuple[float, str, float], ...]) -> Plan:
-    """Return a plan in which pop flies along y = 0 from impact to impact and robots rest."""
-    times = [0.0, *(time for time, _, _ in impacts), HORIZON]
-    x = np.array([impacts[0][2], *(x for _, _, x in impacts), impacts[-1][2]])
-    points = np.column_stack([x, np.zeros(len(x))])
-    velocity, zero = np.diff(points, axis=0) / np.diff(times)[:, None], np.zeros(2)
-    planned = []
-    for k, (time, robot, _) in enumerate(impacts):
-        change, pair = velocity[k + 1] - velocity[k], (velocity[k], velocity[k + 1])
-        normal = np.array([1.0 if change[0] >= 0 else -1.0, 0.0])
-        planned.append(PlannedImpact(time, robot, "pop", points[k + 1], zero, normal, zero, zero, *pair))
-    numbers = dict.fromkeys(("robustness", "bound", "gap", "effort", "solve_seconds"), 0.0)
-    return Plan(
-        scenario=scenario.name,
-        objective="robustness",
-        horizon=HORIZON,
-        effort_bound=None,
-        impacts=tuple(planned),
-        robots={name: Curve([0.0, HORIZON], [[body.start]]) for name, body in scenario.robots.items()},
-        objects={"pop": Curve(times, np.stack([points[:-1], points[1:]], axis=1))},
-        stage_seconds={},
-        validated=False,
-        **numbers,
-    )
-
-
-class Loop:
+class Loop(World):
     """World 1 of three, after the first impact of its plan."""
 
     def __init__(
@@ -88,27 +37,12 @@ class Loop:
         options: Options = BOTH,
         hit: bool = True,
     ) -> None:
-        scenario = make_scenario(formula)
-        self.options, self.table = options, make_plan_table(scenario, make_plan(scenario, impacts))
-        self.memory, self.program = make_world_memory(self.table, 3), make_program()
-        start_world(self.table, self.memory, options, K)
-        self.strike, self.clock = self.memory.strike[K, 0], self.memory.clock[K, : len(impacts)]
+        scenario = load_open(formula, {"pop": (impacts[0][2], 0.0)}, HORIZON)
+        hits = [(time, robot, "pop", (x, 0.0)) for time, robot, x in impacts]
+        super().__init__(scenario, make_straight_plan(scenario, hits), options)
         if hit:
-            self.memory.touch[K] = NOBODY
-            self.memory.touch[K, SNAP] = POP
-            take_contact(self.table, self.memory, K, SNAP, HIT)
-
-    def count(self, name: str) -> int:
-        return int(self.memory.counts[K, COUNTERS.index(name)])
-
-    def see(self, body: int, position: tuple[float, float], velocity: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Let a body's estimate be exact."""
-        self.memory.filter[K, body] = 0.0
-        self.memory.filter[K, body, :4] = *position, *velocity
-
-    def look(self, now: float) -> None:
-        self.memory.time[K] = now
-        look_ahead(self.table, self.memory, self.options, self.program, 0, K, now)
+            self.contact(SNAP, POP, HIT)
+        self.strike = self.strike[0]
 
 
 def fly(loop: Loop, vx: float, vy: float = 0.0, now: float = HIT + SETTLE) -> Loop:
@@ -124,7 +58,7 @@ def fly(loop: Loop, vx: float, vy: float = 0.0, now: float = HIT + SETTLE) -> Lo
 def test_slower_object_is_hit_later_and_faster_one_earlier_near_the_planned_place(vx: float) -> None:
     loop = fly(Loop(options=VARIANTS["with_retiming"]), vx)
     comes_by = HIT + 2.0 / vx
-    assert loop.strike[TIME] == loop.clock[1] == pytest.approx(comes_by, abs=0.2)
+    assert loop.strike["time"] == loop.clock[1] == pytest.approx(comes_by, abs=0.2)
     assert loop.count("retimed") == 1
     assert loop.clock[2] == pytest.approx(comes_by + 30 * (HORIZON - comes_by) / 70, abs=0.2)  # shares what is left
 
@@ -147,14 +81,14 @@ def test_hit_inside_what_the_knot_demands_rather_than_at_the_planned_place() -> 
     """The object drifts out of the band; where it is hit counts more than how near to the plan."""
     free = fly(Loop("F[0,100] pop.x >= -9", options=VARIANTS["with_retiming"]), 0.1, 0.025)
     bound = fly(Loop(options=VARIANTS["with_retiming"]), 0.1, 0.025)
-    assert 0.025 * (free.strike[TIME] - HIT) > 0.46
-    assert 0.025 * (bound.strike[TIME] - HIT) < 0.44
+    assert 0.025 * (free.strike["time"] - HIT) > 0.46
+    assert 0.025 * (bound.strike["time"] - HIT) < 0.44
 
 
 def test_impact_that_is_near_keeps_its_time() -> None:
     for now, moved in ((30 - FROZEN, True), (30 - FROZEN + 0.1, False)):
         loop = fly(Loop(options=VARIANTS["with_retiming"]), 0.08, now=now)
-        assert (loop.strike[TIME] != 30.0) == moved
+        assert (loop.strike["time"] != 30.0) == moved
 
 
 def test_looks_every_half_second_once_the_flight_is_known() -> None:
@@ -181,22 +115,22 @@ def test_time_is_left_for_all_later_impacts() -> None:
     assert compute_reserve(loop.table, loop.memory, K, 2) == last
     assert compute_reserve(loop.table, loop.memory, K, 1) == pytest.approx(last - 1.5 / CRUISE)
     slow = fly(Loop(options=VARIANTS["with_retiming"]), 0.01)
-    assert slow.strike[TIME] <= last - 1.5 / CRUISE + 1e-9
+    assert slow.strike["time"] <= last - 1.5 / CRUISE + 1e-9
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_reachable_is_what_a_quintic_within_the_thrust_reaches(seed: int) -> None:
     rng, loop, outcomes = np.random.default_rng(seed), Loop(), []
-    course, still = np.zeros((1, 1, COURSE_SIZE)), np.zeros((1, 1, 6, 2))
+    course, still = np.zeros((), COURSE)[()], np.zeros((1, 1, 6, 2))
     most = EASE * 1.5 / 16.8
     for _ in range(200):
         position, velocity = rng.uniform(-2, 2, 2), rng.uniform(-0.2, 0.2, 2)
         place, speed, span = rng.uniform(-2, 2, 2), rng.uniform(-0.3, 0.3, 2), rng.uniform(2.0, 20.0)
         loop.see(SNAP, tuple(position), tuple(velocity))
-        course[0, 0, [SINCE, UNTIL]] = 0.0, span
-        fit_quintic(course, 0, 0, (*position, *velocity, 0.0, 0.0), (*place, *speed, 0.0, 0.0))
+        set_fields(course, since=0.0, until=span)
+        fit_quintic(course, (*position, *velocity, 0.0, 0.0), (*place, *speed, 0.0, 0.0))
         times = np.linspace(0.0, span, 400)
-        motion = [evaluate_course(course, np.array([[0.0, 1.0]]), still, 0, 0, t) for t in times]
+        motion = [evaluate_course(course, np.array([[0.0, 1.0]]), still, 0, t) for t in times]
         greatest = max(math.hypot(m[4], m[5]) for m in motion)
         reachable = is_reachable(loop.table, loop.memory, K, SNAP, *place, *speed, span)
         outcomes.append(reachable)
@@ -210,22 +144,22 @@ def test_object_on_its_way_out_is_hit_once_more_from_the_right_side(vy: float, a
     loop = fly(Loop(options=FIXED), 0.1, vy)
     now, strike = HIT + SETTLE, loop.strike
     assert loop.count("inserted") == 1
-    assert strike[INSERTED] == 1.0
-    assert strike[AGENT] == agent
-    assert np.isclose(strike[TIME] - now, LEADS).any()
-    assert strike[IMPACT_INDEX] == 1.0  # the planned one is still to come
-    assert strike[DECIDED] == 1.0  # and only that one is corrected by a learner
-    assert loop.clock[1] >= strike[TIME] + LEAST_LEG
+    assert strike["is_inserted"]
+    assert strike["robot"] == agent
+    assert np.isclose(strike["time"] - now, LEADS).any()
+    assert strike["index"] == 1  # the planned one is still to come
+    assert strike["is_decided"]  # and only that one is corrected by a learner
+    assert loop.clock[1] >= strike["time"] + LEAST_LEG
     # The change of velocity points back into the band, and the robot is behind the object, which it reaches in time.
-    normal = strike[[REFERENCE_X, REFERENCE_Y]]
+    normal = strike["reference_normal"]
     assert normal[1] * vy < 0
-    place = np.array([1.0, 0.0]) + (strike[TIME] - HIT) * np.array([0.1, vy])
-    robot = loop.memory.filter[K, agent, :2]
+    place = np.array([1.0, 0.0]) + (strike["time"] - HIT) * np.array([0.1, vy])
+    robot = loop.memory.filter[K, agent]["position"]
     assert (place - robot) @ normal / np.linalg.norm(place - robot) > SIDE
     velocity, gain = np.array([0.1, vy]), compute_pair_gain(loop.memory, K, agent, 0)
-    change = math.hypot(*((np.array([3.0, 0.0]) - place) / (loop.clock[1] - strike[TIME]) - velocity))
+    change = math.hypot(*((np.array([3.0, 0.0]) - place) / (loop.clock[1] - strike["time"]) - velocity))
     minus = velocity + change / gain * normal  # the robot's at the impact
-    assert is_reachable(loop.table, loop.memory, K, agent, *(place - 0.4 * normal), *minus, strike[TIME] - now)
+    assert is_reachable(loop.table, loop.memory, K, agent, *(place - 0.4 * normal), *minus, strike["time"] - now)
 
 
 @pytest.mark.parametrize(("vy", "inserted"), [(0.03, 0), (0.06, 1)])
@@ -262,20 +196,20 @@ def test_only_robots_that_can_be_there_in_time_hit_once_more() -> None:
     loop.see(CRACKLE, (2.0, 40.0))
     loop.look(HIT + SETTLE)
     assert loop.count("inserted") == 0
-    assert loop.strike[INSERTED] == 0.0
-    assert loop.strike[AGENT] == CRACKLE
+    assert not loop.strike["is_inserted"]
+    assert loop.strike["robot"] == CRACKLE
 
 
 def test_robot_that_may_not_stand_there_does_not_hit_once_more() -> None:
     fenced = BAND + " & G[0,100] crackle.y <= 0.4"
     assert fly(Loop(fenced, options=FIXED), 0.1, 0.03).count("inserted") == 0
-    assert fly(Loop(fenced, options=FIXED), 0.1, -0.03).strike[AGENT] == SNAP
+    assert fly(Loop(fenced, options=FIXED), 0.1, -0.03).strike["robot"] == SNAP
 
 
 def test_robot_on_its_way_to_another_impact_does_not_hit_once_more() -> None:
     for busy, inserted in ((SNAP, 0), (CRACKLE, 1)):
         loop = Loop(options=FIXED)
-        loop.memory.course[K, busy, IMPACT] = 1.0
+        loop.course[busy]["ends_in_impact"] = True
         assert fly(loop, 0.1, -0.03).count("inserted") == inserted
 
 
@@ -283,7 +217,7 @@ def test_not_before_the_first_impact_and_not_more_often_than_four_times() -> Non
     assert fly(Loop(options=FIXED, hit=False), 0.1, 0.03).count("inserted") == 0
     loop = Loop(options=FIXED)
     for k in range(2 * MOST_INSERTED):
-        loop.strike[[INSERTED, AGENT, TIME]] = 0.0, CRACKLE, loop.clock[1]
+        set_fields(loop.strike, is_inserted=False, robot=CRACKLE, time=loop.clock[1])
         fly(loop, 0.1, 0.03 * (-1) ** k, now=HIT + SETTLE + k)
     assert loop.count("inserted") == MOST_INSERTED
 
@@ -293,7 +227,7 @@ def test_uncertain_flight_is_given_the_benefit_of_the_doubt() -> None:
     for deviation, inserted in ((0.0, 1), (0.02, 0)):
         loop = Loop(options=FIXED)
         loop.see(POP, (1.15, 0.045), (0.1, 0.03))
-        loop.memory.filter[K, POP, 9] = deviation**2  # of its velocity [m/s]
+        loop.memory.filter[K, POP]["P_vv"] = deviation**2  # of its velocity [m/s]
         loop.see(CRACKLE, (2.0, 1.5))
         loop.look(HIT + SETTLE)
         assert loop.count("inserted") == inserted
@@ -306,15 +240,15 @@ GOAL = "G[100,100] (pop.x >= 0.5 & pop.x <= 2.5 & pop.y <= 1 & pop.y >= -1)"  # 
 def test_object_that_would_leave_its_goal_after_the_last_impact_is_hit_once_more(speed: float, inserted: int) -> None:
     """From (1.5, 0) at 40 s it drifts by 0, 0.3 or 1.2 m until the end."""
     loop = Loop(GOAL, ((HIT, "snap", 1.5),))
-    assert loop.strike[IMPACT_INDEX] == END
+    assert loop.strike["index"] == NO_IMPACT
     loop.see(POP, (1.5, 0.0), (0.0, speed))
     loop.see(SNAP, (1.5, -1.5))
     loop.see(CRACKLE, (1.5, 1.5))
     loop.look(40.0)
     assert loop.count("inserted") == inserted
     if inserted:
-        assert loop.strike[AGENT] == CRACKLE
-        assert loop.strike[IMPACT_INDEX] == END
+        assert loop.strike["robot"] == CRACKLE
+        assert loop.strike["index"] == NO_IMPACT
 
 
 def test_no_impact_is_inserted_too_late_to_matter() -> None:

@@ -9,17 +9,13 @@ import pytest
 
 from planners.bezier import Curve
 from planners.free_flyer.tracking.course import (
-    COURSE_SIZE,
-    RATE,
+    COURSE,
     SHORTEST_RETURN,
-    SINCE,
-    STOP,
-    UNTIL,
-    approach,
     convert_curve,
     evaluate_course,
     evaluate_curve,
     fit_quintic,
+    plan_approach,
     read_clock,
     return_to_plan,
     set_clock,
@@ -58,32 +54,36 @@ def plan_at(t: float, left: bool = False) -> np.ndarray:
     return np.reshape(evaluate_curve(BREAKS, COEFFICIENTS, 1, t, left), (3, 2))
 
 
-def at(course: np.ndarray, t: float) -> np.ndarray:
-    return np.reshape(evaluate_course(course, BREAKS, COEFFICIENTS, 2, 1, t), (3, 2))
+def make_course() -> np.void:
+    return np.zeros(1, COURSE)[0]
 
 
-def follow(time: float = IMPACT, planned: float = IMPACT, now: float = 0.0, tau: float = 0.0) -> np.ndarray:
-    """Return courses of three worlds and two robots; robot 1 of world 2 follows its plan to an event."""
-    course = np.zeros((3, 2, COURSE_SIZE))
-    set_clock(course, 2, 1, now, tau, time, planned, math.inf)
+def at(course: np.void, t: float) -> np.ndarray:
+    return np.reshape(evaluate_course(course, BREAKS, COEFFICIENTS, 1, t), (3, 2))
+
+
+def follow(time: float = IMPACT, planned: float = IMPACT, now: float = 0.0, tau: float = 0.0) -> np.void:
+    """Return the course of robot 1, which follows its plan to an event."""
+    course = make_course()
+    set_clock(course, now, tau, time, planned, math.inf)
     return course
 
 
 def approach_from(
-    course: np.ndarray, now: float, time: float = IMPACT, planned: float = IMPACT, contact: tuple = CONTACT
-) -> np.ndarray:
+    course: np.void, now: float, time: float = IMPACT, planned: float = IMPACT, contact: tuple = CONTACT
+) -> np.void:
     """Return a copy that leads from the present reference to the impact."""
     new = course.copy()
-    begin = evaluate_course(course, BREAKS, COEFFICIENTS, 2, 1, now)
-    approach(new, BREAKS, COEFFICIENTS, 2, 1, now, begin, contact, SPEED, time, planned)
+    begin = evaluate_course(course, BREAKS, COEFFICIENTS, 1, now)
+    plan_approach(new, BREAKS, COEFFICIENTS, 1, now, begin, contact, SPEED, time, planned)
     return new
 
 
-def return_from(now: float, state: np.ndarray, time: float = HORIZON, planned: float = HORIZON) -> np.ndarray:
+def return_from(now: float, state: np.ndarray, time: float = HORIZON, planned: float = HORIZON) -> np.void:
     course = approach_from(follow(), 20.0)
     begin = tuple(float(value) for value in state.ravel())
     event = (IMPACT, time, planned, LONGEST, FASTEST)
-    return_to_plan(course, BREAKS, COEFFICIENTS, 2, 1, now, begin, *event)
+    return_to_plan(course, BREAKS, COEFFICIENTS, 1, now, begin, *event)
     return course
 
 
@@ -105,12 +105,12 @@ def test_shorter_curve_is_read_to_its_own_end() -> None:
 
 def test_quintic_meets_both_ends() -> None:
     begin, end = np.random.default_rng(1).normal(size=(2, 3, 2))
-    course = np.zeros((3, 2, COURSE_SIZE))
-    course[2, 1, [SINCE, UNTIL]] = 4.0, 7.0
-    fit_quintic(course, 2, 1, tuple(begin.ravel()), tuple(end.ravel()))
+    course = make_course()
+    course["since"], course["until"] = 4.0, 7.0
+    fit_quintic(course, tuple(begin.ravel()), tuple(end.ravel()))
     still = np.zeros_like(COEFFICIENTS)
     for t, motion in ((4.0, begin), (7.0, end)):
-        out = evaluate_course(course, BREAKS, still, 2, 1, t)
+        out = evaluate_course(course, BREAKS, still, 1, t)
         np.testing.assert_allclose(np.reshape(out, (3, 2)), motion, atol=1e-10)
 
 
@@ -118,14 +118,12 @@ def test_following_is_the_plan() -> None:
     course = follow()
     for t in np.linspace(0, IMPACT - 0.01, 20):
         np.testing.assert_allclose(at(course, t), plan_at(t), atol=1e-15)
-    assert not course[:2].any()  # of other worlds and robots nothing was written
-    assert not course[2, 0].any()
 
 
 def test_clock_brings_the_plan_to_its_event_when_it_is_expected_and_stops_there() -> None:
     course = follow(time=40.0, planned=IMPACT, now=10.0, tau=10.0)
-    assert course[2, 1, RATE] == pytest.approx(2 / 3)
-    assert read_clock(course, 2, 1, 40.0) == pytest.approx(IMPACT)
+    assert course["rate"] == pytest.approx(2 / 3)
+    assert read_clock(course, 40.0) == pytest.approx(IMPACT)
     motion = plan_at(20.0) * [[1], [2 / 3], [4 / 9]]  # slower by the clock's rate
     np.testing.assert_allclose(at(course, 25.0), motion, atol=1e-12)
     np.testing.assert_allclose(at(course, 45.0), [plan_at(IMPACT, left=True)[0], [0, 0], [0, 0]], atol=1e-12)
@@ -134,17 +132,17 @@ def test_clock_brings_the_plan_to_its_event_when_it_is_expected_and_stops_there(
 def test_clock_is_continuous_when_it_is_set_anew() -> None:
     course = follow()
     before = at(course, 13.0)
-    set_clock(course, 2, 1, 13.0, read_clock(course, 2, 1, 13.0), 50.0, IMPACT, math.inf)
+    set_clock(course, 13.0, read_clock(course, 13.0), 50.0, IMPACT, math.inf)
     np.testing.assert_allclose(at(course, 13.0)[0], before[0], atol=1e-13)
-    assert read_clock(course, 2, 1, 50.0) == pytest.approx(IMPACT)
+    assert read_clock(course, 50.0) == pytest.approx(IMPACT)
 
 
 def test_clock_does_not_race_and_is_never_past_its_event() -> None:
-    hurried = np.zeros((3, 2, COURSE_SIZE))
-    set_clock(hurried, 2, 1, 10.0, 10.0, 11.0, IMPACT, FASTEST)
-    assert hurried[2, 1, RATE] == FASTEST
-    set_clock(hurried, 2, 1, 10.0, 35.0, 40.0, IMPACT, FASTEST)
-    assert read_clock(hurried, 2, 1, 10.0) == hurried[2, 1, STOP] == IMPACT
+    hurried = make_course()
+    set_clock(hurried, 10.0, 10.0, 11.0, IMPACT, FASTEST)
+    assert hurried["rate"] == FASTEST
+    set_clock(hurried, 10.0, 35.0, 40.0, IMPACT, FASTEST)
+    assert read_clock(hurried, 10.0) == hurried["stop"] == IMPACT
 
 
 @pytest.mark.parametrize(("now", "time"), [(11.0, IMPACT), (20.0, IMPACT + 4.0), (29.0, IMPACT)])
@@ -167,9 +165,9 @@ def test_approach_is_smooth_all_the_way() -> None:
 
 def test_approach_to_the_planned_impact_is_the_plan() -> None:
     planned, course = plan_at(IMPACT, left=True), follow()
-    begin = evaluate_course(course, BREAKS, COEFFICIENTS, 2, 1, 14.0)
+    begin = evaluate_course(course, BREAKS, COEFFICIENTS, 1, 14.0)
     contact, speed = (tuple(float(value) for value in row) for row in planned[:2])
-    approach(course, BREAKS, COEFFICIENTS, 2, 1, 14.0, begin, contact, speed, IMPACT, IMPACT)
+    plan_approach(course, BREAKS, COEFFICIENTS, 1, 14.0, begin, contact, speed, IMPACT, IMPACT)
     for t in np.linspace(14.0, IMPACT, 15):
         np.testing.assert_allclose(at(course, t), plan_at(t, left=True), atol=1e-11)
 
@@ -184,7 +182,7 @@ def test_replanning_without_news_changes_nothing() -> None:
 def test_approach_to_an_impact_that_is_none_of_the_plan_leaves_the_plan_standing() -> None:
     course = follow()
     extra = approach_from(course, 15.0, 22.0, planned=-1.0)
-    assert read_clock(extra, 2, 1, 22.0) == pytest.approx(15.0)
+    assert read_clock(extra, 22.0) == pytest.approx(15.0)
     np.testing.assert_allclose(at(extra, 15.0), at(course, 15.0), atol=1e-12)
     np.testing.assert_allclose(at(extra, 22.0)[:2], [CONTACT, SPEED], atol=1e-12)
 
@@ -193,7 +191,7 @@ def test_approach_to_an_impact_that_is_none_of_the_plan_leaves_the_plan_standing
 def test_return_joins_the_plan_smoothly_and_in_time(now: float, expected: float) -> None:
     state = np.array([[0.3, -0.2], [0.02, 0.1]])
     course = return_from(now, state, expected)
-    end, rate = course[2, 1, UNTIL], course[2, 1, RATE]
+    end, rate = course["until"], course["rate"]
     np.testing.assert_allclose(at(course, now)[:2], state, atol=1e-12)
     assert end == pytest.approx(now + min(LONGEST, (expected - now) / 2))
     np.testing.assert_allclose(at(course, end - 1e-9), at(course, end + 1e-9), atol=1e-8)
@@ -203,5 +201,5 @@ def test_return_joins_the_plan_smoothly_and_in_time(now: float, expected: float)
 
 def test_return_does_not_race_through_the_plan_when_time_is_short() -> None:
     course = return_from(59.0, np.zeros((2, 2)))
-    assert course[2, 1, RATE] == FASTEST
-    assert course[2, 1, UNTIL] == pytest.approx(59.0 + SHORTEST_RETURN)
+    assert course["rate"] == FASTEST
+    assert course["until"] == pytest.approx(59.0 + SHORTEST_RETURN)

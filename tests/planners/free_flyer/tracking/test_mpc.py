@@ -12,7 +12,6 @@ import pytest
 from impact_envs import load_scenario, parallel_env
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners import make_plan
-from planners.free_flyer.belief.world_memory import AGENT, CONTACT_X, CONTACT_Y, MINUS_X, MINUS_Y, PLUS_X, PLUS_Y, TIME
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.tracking.mpc import (
     Workspace,
@@ -227,7 +226,7 @@ def catch() -> list[tuple[float, np.ndarray, Workspace]]:
         strike = expert.memory.strike[0, 0].copy()
         # What is left in the workspace is of the last robot, which catches.
         workspace = Workspace(*(array.copy() for array in expert.workspace))
-        ahead = strike[TIME] - expert.memory.time[0] if strike[AGENT] == 1 else math.inf
+        ahead = strike["time"] - expert.memory.time[0] if strike["robot"] == 1 else math.inf
         seen.append((ahead, strike, workspace))
     return seen
 
@@ -251,14 +250,14 @@ def test_reference_puts_a_node_onto_the_impact(catch: list[tuple[float, np.ndarr
         assert 1 <= node < STAGES
         assert np.sum(durations) == pytest.approx(STAGES * PERIOD)
         assert np.sum(durations[:node]) == pytest.approx(ahead, abs=1e-9)
-        np.testing.assert_allclose(states[node, :2], strike[[CONTACT_X, CONTACT_Y]], atol=1e-9)
-        np.testing.assert_allclose(states[node, 3:5], strike[[MINUS_X, MINUS_Y]], atol=1e-9)
+        np.testing.assert_allclose(states[node, :2], strike["contact"], atol=1e-9)
+        np.testing.assert_allclose(states[node, 3:5], strike["robot_minus"], atol=1e-9)
         after = states[node + 1 :, 3:5]
-        np.testing.assert_allclose(after, np.tile(strike[[PLUS_X, PLUS_Y]], (STAGES - node, 1)))
+        np.testing.assert_allclose(after, np.tile(strike["robot_plus"], (STAGES - node, 1)))
         # The predicted jump is the one that the robot's reference makes.
         state = np.array([0.0, 0.0, 0.0, *states[node, 3:5], 0.0])
         jump(state, tuple(workspace.jump[0, :2]), workspace.jump[0, 2], workspace.jump[0, 3])
-        np.testing.assert_allclose(state[3:5], strike[[PLUS_X, PLUS_Y]], atol=1e-9)
+        np.testing.assert_allclose(state[3:5], strike["robot_plus"], atol=1e-9)
 
 
 def test_reference_has_no_jump_before_the_impact_is_near(catch: list[tuple[float, np.ndarray, Workspace]]) -> None:
