@@ -32,7 +32,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import load_scenario
 from planners import make_plan
 from planners.errors import PlanningError
-from planners.free_flyer.published.encoding import make_bezier_plan
+from planners.free_flyer.published.encoding import EncodingOptions, make_bezier_plan
 from planners.solvers import SOLVERS, installed_solvers
 
 SCENARIOS = ("throw_and_catch", "corridor", "pong", "pingpong", "obstacle_avoidance")
@@ -185,9 +185,10 @@ def plan_ours(scenario: FreeFlyerScenario) -> dict[str, Any]:
     }
 
 
-def plan_bezier(scenario: FreeFlyerScenario, args: Args, **options: Any) -> dict[str, Any]:
+def plan_bezier(scenario: FreeFlyerScenario, args: Args, attenuate: bool = False, **options: Any) -> dict[str, Any]:
     """Plan with the paper's encoding and return what its solver did."""
-    plan = make_bezier_plan(scenario, separation=args.separation, time_limit=args.limit, **options)
+    encoding = EncodingOptions(separation=args.separation, attenuate=attenuate)
+    plan = make_bezier_plan(scenario, options=encoding, time_limit=args.limit, **options)
     gap = (plan.objective - plan.objective_bound) / max(abs(plan.objective), 1e-12)
     return {
         "seconds": plan.solve_seconds,

@@ -59,6 +59,7 @@ class Body(Table):
     inertia: Positive  # about the centre of mass [kg m^2]
     radius: Positive  # of the disc, or of the circle round the polygon [m]
     speed_limit: Positive  # per axis [m/s]
+    curves: Annotated[int, Field(ge=1)] | None = None  # of the published encoding; unset: its own numbers
 
 
 class Robot(Body):

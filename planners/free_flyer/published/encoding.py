@@ -16,17 +16,37 @@ from planners.free_flyer.published.encoding_rows import BezierModel, build_bezie
 from planners.mixed_integer import Affine, evaluate
 from planners.solvers import Squares, check_solver, solve
 
-# Curves per body as in the published code, whose names of bodies differ in places.
-PUBLISHED_CURVES = {
-    "throw_and_catch": {"snap": 3, "crackle": 3, "pop": 4},
-    "corridor": {"snap": 4, "crackle": 3, "pop": 6},
-    "obstacle_avoidance": {"snap": 7, "crackle": 6, "pop": 5},
-    "pong": {"snap": 4, "crackle": 3, "pop": 5},
-    "pingpong": {"snap": 4, "crackle": 6, "pop": 7},
-}
-ROBOT_CURVES, OBJECT_CURVES = 4, 6  # of other scenarios, and of objects on a constant grid
-ROBUSTNESS_WEIGHT, CURVATURE_WEIGHT, RATE_WEIGHT = 1e4, 0.05, 0.1  # published: on rho, r'' and h''
 EXACT_LAW = 1e-12  # differences of masses and restitution that count as none
+
+
+@dataclass(frozen=True)
+class EncodingOptions:
+    """Choose the form of the encoding.
+
+    Args:
+        curves: number of curves of every body, or body to number; other bodies have what the scenario says in `curves`,
+            or else one of the next two numbers.
+        robot_curves: of a robot.
+        object_curves: of an object, and of every object on a constant grid.
+        constant_grid: all curves of an object last equally long, which makes any impact exact.
+        separation: keep robots from robots and objects from objects, Eq. (26); the published code leaves it out.
+        attenuate: add Eq. (28), which makes the model quadratic: not for HiGHS.
+        robustness_weight: of -rho beside Eq. (28).
+        curvature_weight: of the squares of r'' in Eq. (28).
+        rate_weight: of the squares of h'' in Eq. (28).
+
+    Source: weights as in the published code.
+    """
+
+    curves: int | Mapping[str, int] | None = None
+    robot_curves: int = 4
+    object_curves: int = 6
+    constant_grid: bool = False
+    separation: bool = True
+    attenuate: bool = False
+    robustness_weight: float = 1e4
+    curvature_weight: float = 0.05
+    rate_weight: float = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,14 +157,11 @@ class BezierPlan:
 def make_bezier_plan(
     scenario: FreeFlyerScenario,
     *,
-    curves: int | Mapping[str, int] | None = None,
-    constant_grid: bool = False,
-    attenuate: bool = False,
-    separation: bool = True,
     solver: str = "highs",
     max_impacts: int | None = None,
     time_limit: float = 60.0,
     relative_gap: float = 1e-6,
+    options: EncodingOptions = EncodingOptions(),
 ) -> BezierPlan:
     r"""Plan points by the paper's encoding: max rho, or max rho - 1e-4 Eq. (28).
 
@@ -154,14 +171,11 @@ def make_bezier_plan(
 
     Args:
         scenario: any number of robots and objects, taken as points; only believed physics are read.
-        curves: number of curves of every body, or body to number; None: as in the published code.
-        constant_grid: let all curves of an object last equally long, which makes any impact exact.
-        attenuate: add Eq. (28), which makes the model quadratic: for SCIP and Gurobi only.
-        separation: keep robots from robots and objects from objects, Eq. (26); the published code leaves it out.
-        solver: one of planners.solvers.SOLVERS.
+        solver: a key of `planners.solvers.SOLVERS`.
         max_impacts: greatest number of impacts; None: as many as the curves have ends.
         time_limit: of the solver [s].
         relative_gap: of the objective at which the solver stops; infinite: at the first plan.
+        options: form of the encoding.
 
     Returns:
         The best plan found, with its bound and with how far it is from Eq. (5).
@@ -173,16 +187,16 @@ def make_bezier_plan(
 
     Source: Verhagen & Tumova, Sec. IV-B, V; degrees, bounds of h' and weights from their published code.
     """
-    _check_arguments(scenario, curves, max_impacts, time_limit, relative_gap)
+    _check_arguments(scenario, options, max_impacts, time_limit, relative_gap)
     check_solver(solver)
     start = time.perf_counter()
-    counts = _count_curves(scenario, curves, constant_grid)
-    bezier = build_bezier_model(scenario, counts, constant_grid, separation, max_impacts)
-    squares = _write_attenuation(bezier, scenario)
-    if attenuate:
-        bezier.model.objective = bezier.rho * -ROBUSTNESS_WEIGHT
+    counts = _count_curves(scenario, options)
+    bezier = build_bezier_model(scenario, counts, options.constant_grid, options.separation, max_impacts)
+    squares = _write_attenuation(bezier, scenario, options)
+    if options.attenuate:
+        bezier.model.objective = bezier.rho * -options.robustness_weight
     built = time.perf_counter()
-    solution = solve(bezier.model, time_limit, relative_gap, solver, squares if attenuate else ())
+    solution = solve(bezier.model, time_limit, relative_gap, solver, squares if options.attenuate else ())
     solved = time.perf_counter()
     r, h = ({name: evaluate(points, solution.x) for name, points in part.items()} for part in (bezier.r, bezier.h))
     impacts = _read_impacts(scenario, bezier, r, h, solution.x)
@@ -193,12 +207,12 @@ def make_bezier_plan(
         h=h,
         impacts=impacts,
         rho=bezier.rho.value(solution.x),
-        bound=bezier.ceiling if attenuate else min(bezier.ceiling, -solution.bound),
+        bound=bezier.ceiling if options.attenuate else min(bezier.ceiling, -solution.bound),
         attenuation=sum(weight * expression.value(solution.x) ** 2 for weight, expression in squares),
         objective=solution.objective,
         objective_bound=solution.bound,
         impact_error=max((impact.error for impact in impacts), default=0.0),
-        is_exact=constant_grid or _is_swap(scenario),
+        is_exact=options.constant_grid or _is_swap(scenario),
         build_seconds=built - start,
         solve_seconds=solved - built,
         size=_measure(bezier),
@@ -207,12 +221,12 @@ def make_bezier_plan(
 
 def _check_arguments(
     scenario: FreeFlyerScenario,
-    curves: int | Mapping[str, int] | None,
+    options: EncodingOptions,
     max_impacts: int | None,
     time_limit: float,
     relative_gap: float,
 ) -> None:
-    for name, count in _asked(scenario, curves).items():
+    for name, count in _list_asked(scenario, options).items():
         if name not in scenario.bodies:
             raise InputError(f"curves: body '{name}' is unknown; {choices(name, scenario.bodies)}")
         if count < 1:
@@ -227,27 +241,26 @@ def _check_arguments(
         raise InputError(f"relative_gap is {relative_gap}, it must not be negative")
 
 
-def _count_curves(
-    scenario: FreeFlyerScenario, curves: int | Mapping[str, int] | None, constant_grid: bool
-) -> dict[str, int]:
-    usual = {name: ROBOT_CURVES if name in scenario.robots else OBJECT_CURVES for name in scenario.bodies}
-    published = PUBLISHED_CURVES.get(scenario.name, {})
-    if set(published) == set(usual):
-        usual = published
-    if constant_grid:
-        usual = usual | dict.fromkeys(scenario.objects, OBJECT_CURVES)
-    return usual | _asked(scenario, curves)
+def _count_curves(scenario: FreeFlyerScenario, options: EncodingOptions) -> dict[str, int]:
+    counts = {}
+    for name in scenario.bodies:
+        is_robot = name in scenario.robots
+        usual = options.robot_curves if is_robot else options.object_curves
+        stated = None if options.constant_grid and not is_robot else scenario.body(name).curves
+        counts[name] = stated or usual
+    return counts | _list_asked(scenario, options)
 
 
-def _asked(scenario: FreeFlyerScenario, curves: int | Mapping[str, int] | None) -> dict[str, int]:
+def _list_asked(scenario: FreeFlyerScenario, options: EncodingOptions) -> dict[str, int]:
+    curves = options.curves
     return dict.fromkeys(scenario.bodies, curves) if isinstance(curves, int) else dict(curves or {})
 
 
-def _write_attenuation(bezier: BezierModel, scenario: FreeFlyerScenario) -> Squares:
+def _write_attenuation(bezier: BezierModel, scenario: FreeFlyerScenario, options: EncodingOptions) -> Squares:
     """Return Eq. (28): the squares of all control points of the robots' r'' and h''."""
     squares = []
     for name in scenario.robots:
-        for weight, points in ((CURVATURE_WEIGHT, bezier.r[name]), (RATE_WEIGHT, bezier.h[name])):
+        for weight, points in ((options.curvature_weight, bezier.r[name]), (options.rate_weight, bezier.h[name])):
             second = differentiate(differentiate(points))
             squares += [(weight, Affine({}) + entry) for entry in second.ravel()]
     return squares

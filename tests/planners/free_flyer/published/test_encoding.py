@@ -7,10 +7,10 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import load_scenario
 from impact_envs.stl import Trace, robustness
-from planners import make_plan
 from planners.errors import Infeasible, SolverFailed
-from planners.free_flyer.published.encoding import BezierPlan, make_bezier_plan
+from planners.free_flyer.published.encoding import BezierPlan, EncodingOptions, make_bezier_plan
 from planners.free_flyer.published.encoding_rows import read_clauses
+from tests.frozen.freeze import get_plan
 
 # Robustness of the shipped planner, which attains what the areas allow.
 RHO = {"throw_and_catch": 0.25, "corridor": 0.75, "pong": 0.25, "obstacle_avoidance": 0.5}
@@ -25,7 +25,9 @@ def _scenario(name: str, restitution: float = 0.8, **changes: object) -> FreeFly
 
 @cache
 def _plan(name: str, restitution: float = 0.8, constant_grid: bool = False) -> BezierPlan:
-    return make_bezier_plan(_scenario(name, restitution), constant_grid=constant_grid, separation=False)
+    return make_bezier_plan(
+        _scenario(name, restitution), options=EncodingOptions(constant_grid=constant_grid, separation=False)
+    )
 
 
 @EVERY
@@ -38,7 +40,9 @@ def test_robustness_is_what_the_areas_allow(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["throw_and_catch", "corridor"])
 def test_robustness_equals_the_event_grid(name: str) -> None:
-    assert _plan(name).rho == pytest.approx(make_plan(name).robustness, abs=1e-5)
+    stored = get_plan(name, "nominal")
+    assert stored is not None
+    assert _plan(name).rho == pytest.approx(stored.robustness, abs=1e-5)
 
 
 @EVERY
@@ -93,6 +97,12 @@ def test_a_constant_grid_obeys_the_impact_law(name: str) -> None:
         np.testing.assert_allclose(impact.robot_plus - impact.object_plus, -0.8 * relative, atol=1e-6)
 
 
+def test_curves_of_the_scenario_are_those_of_the_published_code() -> None:
+    plan = _plan("pingpong")
+    assert {name: len(points) for name, points in plan.r.items()} == {"snap": 4, "crackle": 6, "pop": 7}
+    assert {name: len(points) for name, points in _plan("pong", constant_grid=True).r.items()}["pop"] == 6
+
+
 def test_unequal_masses_are_not_exact_even_without_loss() -> None:
     plan = make_bezier_plan(_scenario("throw_and_catch", 1.0, **{"objects.pop.mass": 8.0}))
     assert not plan.is_exact
@@ -128,7 +138,7 @@ def test_robots_meet_objects_at_impacts() -> None:
 
 def test_separation_keeps_boxes_of_robots_apart() -> None:
     scenario = _scenario("throw_and_catch", 1.0, **{"robots.crackle.start": [0.5, 0.5], "robots.crackle.goal": None})
-    plan = make_bezier_plan(scenario, separation=True)
+    plan = make_bezier_plan(scenario, options=EncodingOptions(separation=True))
     times = np.linspace(0.0, scenario.horizon, 3001)
     places = plan.positions(times)
     assert np.abs(places["snap"] - places["crackle"]).max(axis=1).min() >= 0.4 - 1e-3
@@ -142,7 +152,7 @@ def test_several_objects() -> None:
         "formula": "G[30,30] pop in goal & G[30,30] pip in side",
         "regions.side": {"lower": [1.0, 2.0], "upper": [1.5, 2.5]},
     }
-    plan = make_bezier_plan(_scenario("throw_and_catch", 1.0, **changes), curves={"snap": 3, "crackle": 3})
+    plan = make_bezier_plan(_scenario("throw_and_catch", 1.0, **changes), options=EncodingOptions({"pop": 6}))
     assert plan.rho == pytest.approx(0.25, abs=1e-6)
     assert {impact.object for impact in plan.impacts} == {"pop", "pip"}
     assert plan.impact_error < 1e-6
@@ -156,19 +166,20 @@ def test_fewer_impacts_than_a_throw_and_a_catch_are_infeasible() -> None:
 
 def test_too_few_curves_name_what_they_cannot_do() -> None:
     with pytest.raises(Infeasible, match=r"pop in right.*\[18, 20\]"):
-        make_bezier_plan(_scenario("pingpong"), constant_grid=True, curves={"pop": 7})
+        make_bezier_plan(_scenario("pingpong"), options=EncodingOptions({"pop": 7}, constant_grid=True))
 
 
 def test_highs_refuses_the_quadratic_cost() -> None:
     with pytest.raises(SolverFailed, match="HiGHS takes no quadratic"):
-        make_bezier_plan(_scenario("throw_and_catch"), attenuate=True)
+        make_bezier_plan(_scenario("throw_and_catch"), options=EncodingOptions(attenuate=True))
 
 
 @pytest.mark.parametrize("solver", ["scip", "gurobi"])
 def test_attenuation_costs_no_robustness(solver: str) -> None:
     pytest.importorskip({"scip": "pyscipopt", "gurobi": "gurobipy"}[solver])
     scenario = _scenario("throw_and_catch", 1.0)
-    plan = make_bezier_plan(scenario, attenuate=True, separation=False, solver=solver, relative_gap=1e-2)
+    options = EncodingOptions(attenuate=True, separation=False)
+    plan = make_bezier_plan(scenario, options=options, solver=solver, relative_gap=1e-2)
     assert plan.rho == pytest.approx(0.25, abs=1e-5)
     assert plan.attenuation < 0.01 * _plan("throw_and_catch", 1.0).attenuation
     assert plan.objective == pytest.approx(plan.attenuation - 1e4 * plan.rho, rel=1e-6)
@@ -201,9 +212,9 @@ def test_solid_obstacles_count_without_the_formula() -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        {"curves": {"pip": 3}},
-        {"curves": 0},
-        {"curves": {"pop": 0}},
+        {"options": EncodingOptions({"pip": 3})},
+        {"options": EncodingOptions(0)},
+        {"options": EncodingOptions({"pop": 0})},
         {"max_impacts": -1},
         {"time_limit": 0.0},
         {"relative_gap": -1.0},
