@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -16,7 +17,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.rollout import Diagnostics
 from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.impact_parameters import NOW, compute_gain_spread, compute_pair_gain, find_row, get_pair
-from planners.free_flyer.belief.options import Options, encode_options, get_options
+from planners.free_flyer.belief.options import Options, get_options, make_record
 from planners.free_flyer.belief.plan_table import NO_IMPACT, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
@@ -113,7 +114,7 @@ class FreeFlyerExpert:
         self.name, self.plan = variant or "expert", plan
         chosen = get_options(variant) if options is None else options
         name, self._tracker = find_tracker(chosen.tracker if tracker is None else tracker)
-        self.options = chosen._replace(tracker=name)
+        self.options = replace(chosen, tracker=name)
         self._scenario = scenario.as_believed()
         self.table = make_plan_table(self._scenario, plan)
         robots, bodies = len(scenario.robots), len(scenario.bodies)
@@ -124,9 +125,9 @@ class FreeFlyerExpert:
         self._joint = np.zeros((1, BODY_SIZE * bodies + robots + TAIL_SIZE - 1))
         self._actions, self._due = np.zeros((1, robots, 3)), np.full(1, NO_OBJECT)
         self._planned = self.table
-        self._background = Background(self._scenario)
-        tables = self.memory, encode_options(self.options), self.workspace, make_rest_qp()
-        self._arrays = tuple(tuple(table) for table in tables)
+        self._background = Background(self._scenario, self.options)
+        self._record = make_record(self.options)
+        self._arrays = tuple(self.memory), self._record, tuple(self.workspace), tuple(make_rest_qp())
         place = {name: i for i, name in enumerate(scenario.bodies)}
         self._order = [place[name] for name in observed_order(scenario, scenario.agents[0])]
         self.reset(0)
@@ -227,7 +228,7 @@ class FreeFlyerExpert:
             return np.zeros(self.feature_size)
         planned, body = table.impact[index], table.robots + o
         x, y, vx, vy = extrapolate_flight(memory, 0, body, time)
-        wish = np.array(choose_desired_velocity(table, memory, self.options, 0, o))
+        wish = np.array(choose_desired_velocity(table, memory, self._record[0], 0, o))
         one_hot = np.zeros(ONE_HOT)
         one_hot[min(index, ONE_HOT - 1)] = 1.0
         _, due, _ = find_next_knot(table, memory, 0, o, bool(strike["is_inserted"]))
@@ -246,7 +247,7 @@ class FreeFlyerExpert:
                 [hit["ratio"] or 1.0, hit["seen"]],
                 robot["position"] - z["position"],
                 robot["velocity"] - z["velocity"],
-                [factor, factor * compute_gain_spread(memory, 0, r, o)],
+                [factor, factor * compute_gain_spread(memory, self._record[0], 0, r, o)],
                 z["drift"],
             ]
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -11,7 +12,7 @@ from impact_envs.compiled import announce
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners.free_flyer.belief.options import Options, encode_options, get_options
+from planners.free_flyer.belief.options import Options, get_options, make_record
 from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
@@ -59,14 +60,14 @@ class FreeFlyerExpertBatch:
         self.size = BODY_SIZE * len(scenario.bodies) + self.robots + TAIL_SIZE - 1
         believed = scenario.as_believed()
         self._table, self._own = make_plan_table(believed, plan), dict[int, PlanTable]()
-        self._background = Background(believed)
         self.memory = make_world_memory(self._table, count)
         self._threads = min(threads, count)
         chosen = get_options(variant) if options is None else options
-        chosen = chosen._replace(tracker=check_compiled(chosen.tracker if tracker is None else tracker))
+        chosen = replace(chosen, tracker=check_compiled(chosen.tracker if tracker is None else tracker))
+        self._background = Background(believed, chosen)
         workspace, qp = make_workspace(self._threads), make_rest_qp(self._threads)
         self._plan_anew = chosen.plan_anew
-        self._arrays = tuple(self.memory), encode_options(chosen), tuple(workspace), tuple(qp)
+        self._arrays = tuple(self.memory), make_record(chosen), tuple(workspace), tuple(qp)
         self._due = np.full(count, NO_OBJECT)
         self._pool: ThreadPoolExecutor | None = None
 

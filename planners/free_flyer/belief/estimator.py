@@ -18,27 +18,6 @@ from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.world_memory import BLANK_FILTER, NOBODY, UNKNOWN, WorldMemory
 from planners.free_flyer.impact_law import compute_velocity_gain
 
-NEAR = 0.1  # a felt impact is blamed on a body closer than this gap [m]
-UNTRUSTED_JUMP = 0.5  # standard deviation of a modelled velocity jump, relative to its size
-UNKNOWN_JUMP = 0.002  # the same, at least [m/s]
-UNSEEN_JUMP = 0.05  # of a robot that felt an impact with nothing near [m/s]
-START_POSITION = 1e-3  # bodies start where the scenario says [m]
-START_VELOCITY = 1e-4  # and as fast [m/s]; knowing this makes a small drift visible early
-SURPRISE = 6.0  # standard deviations, and
-SURPRISE_FLOOR = 2e-3  # [m] beyond which a position tells of an unseen event, such as a bounce off a wall
-# What the filters believe of sensors and disturbances, as standard deviations.
-POSITION_PRIOR = 5e-3  # of measured positions until it is estimated [m]
-POSITION_FLOOR = 1e-7  # of measured positions, at least [m]
-# Of measured velocities over that of positions per control period; a velocity that comes from differences of noisy
-# positions then hardly counts, an exact one counts fully.
-VELOCITY_RATIO = 100.0
-MEMORY = 50.0  # samples over which the position noise is estimated
-THRUST = 4e-3  # unmodelled acceleration of robots [m/s^2],
-THRUST_SHARE = 0.15  # and this share of what they are pushed with
-FLIGHT = 1e-5  # unmodelled acceleration of objects [m/s^2]
-KEPT = 3e-4  # of objects that keep their velocity [m/s^2]
-DRIFT = 5e-4  # constant acceleration of an object [m/s^2]
-
 
 @compiled
 def predict_state(z: np.record, ux: float, uy: float, h: float, unmodelled: float) -> None:
@@ -132,16 +111,21 @@ def open_filters(plan: PlanTable, memory: WorldMemory, options: Options, k: int)
         z, body = memory.filter[k, i], plan.body[i]
         memory.filter[k, i] = BLANK_FILTER
         z.position, z.velocity = body.start, body.start_velocity
-        z.P_pp, z.P_vv = START_POSITION * START_POSITION, START_VELOCITY * START_VELOCITY
+        z.P_pp, z.P_vv = (
+            options.estimation.start_position * options.estimation.start_position,
+            options.estimation.start_velocity * options.estimation.start_velocity,
+        )
         if options.drift and i >= plan.robots and body.keep_force == 0.0:
-            z.P_aa = DRIFT * DRIFT
+            z.P_aa = options.estimation.drift * options.estimation.drift
         memory.heading[k, i].angle, memory.heading[k, i].rate = body.heading, 0.0
     sensor = memory.sensor[k]
-    sensor.sigma, sensor.weight, sensor.square, sensor.samples = POSITION_PRIOR, 0.0, 0.0, 0
+    sensor.sigma, sensor.weight, sensor.square, sensor.samples = options.estimation.position_prior, 0.0, 0.0, 0
 
 
 @compiled
-def update_estimates(plan: PlanTable, memory: WorldMemory, k: int, joint: np.ndarray, now: float) -> None:
+def update_estimates(
+    plan: PlanTable, memory: WorldMemory, options: Options, k: int, joint: np.ndarray, now: float
+) -> None:
     """Update world k's estimates by one sample: predict, apply felt impacts, correct by what was measured.
 
     The noise of positions is learned from the objects: between contacts their acceleration is constant, so the third
@@ -157,29 +141,46 @@ def update_estimates(plan: PlanTable, memory: WorldMemory, k: int, joint: np.nda
     for i in range(n):
         ux, uy = (memory.push[k, i, 0], memory.push[k, i, 1]) if i < r else (0.0, 0.0)
         keeps = plan.body[i].keep_force > 0.0
-        unmodelled = THRUST + THRUST_SHARE * math.hypot(ux, uy) if i < r else KEPT if keeps else FLIGHT
+        unmodelled = (
+            options.estimation.thrust + options.estimation.thrust_share * math.hypot(ux, uy)
+            if i < r
+            else options.estimation.kept
+            if keeps
+            else options.estimation.flight
+        )
         predict_state(memory.filter[k, i], ux, uy, h, unmodelled)
     calm = True
     for i in range(r):
         memory.touch[k, i] = NOBODY
         if joint[k, BODY_SIZE * n + i] > 0.5:
             calm = False
-            other = find_nearest(plan, memory, k, i)
+            other = find_nearest(plan, memory, options, k, i)
             memory.touch[k, i] = other
             if other == UNKNOWN:
-                add_jump(memory.filter[k, i], 0.0, 0.0, 0.0, 0.0, UNSEEN_JUMP * h, UNSEEN_JUMP)
+                add_jump(
+                    memory.filter[k, i],
+                    0.0,
+                    0.0,
+                    0.0,
+                    0.0,
+                    options.estimation.unseen_jump * h,
+                    options.estimation.unseen_jump,
+                )
             else:
-                apply_impact(plan, memory, k, i, other, h)
+                apply_impact(plan, memory, options, k, i, other, h)
     variance = memory.sensor[k].sigma * memory.sensor[k].sigma
     for i in range(n):
         z, at = memory.filter[k, i], BODY_SIZE * i
         miss = math.hypot(joint[k, at] - z.position[0], joint[k, at + 1] - z.position[1])
-        if math.isfinite(miss) and miss > SURPRISE * math.sqrt(z.P_pp + variance) + SURPRISE_FLOOR:
+        if (
+            math.isfinite(miss)
+            and miss > options.estimation.surprise * math.sqrt(z.P_pp + variance) + options.estimation.surprise_floor
+        ):
             add_jump(z, 0.0, 0.0, 0.0, 0.0, miss, miss / plan.period)
             calm = False
-    learn_noise(memory, k, joint, r, calm)
+    learn_noise(memory, options, k, joint, r, calm)
     variance = memory.sensor[k].sigma * memory.sensor[k].sigma
-    slow = VELOCITY_RATIO / plan.period
+    slow = options.estimation.velocity_ratio / plan.period
     for i in range(n):
         z, at, total = memory.filter[k, i], BODY_SIZE * i, 0.0
         for j in range(BODY_SIZE):
@@ -189,7 +190,7 @@ def update_estimates(plan: PlanTable, memory: WorldMemory, k: int, joint: np.nda
             continue
         if calm:
             dx, dy = joint[k, at + 2] - z.velocity[0], joint[k, at + 3] - z.velocity[1]
-            learn_velocity_error(memory, k, i, dx * dx + dy * dy, slow * slow * variance)
+            learn_velocity_error(memory, options, k, i, dx * dx + dy * dy, slow * slow * variance)
         correct_position(z, joint[k, at], joint[k, at + 1], variance)
         correct_velocity(z, joint[k, at + 2], joint[k, at + 3], slow * slow * variance)
         # The measured angle is only known up to whole turns.
@@ -199,9 +200,9 @@ def update_estimates(plan: PlanTable, memory: WorldMemory, k: int, joint: np.nda
 
 
 @compiled
-def find_nearest(plan: PlanTable, memory: WorldMemory, k: int, i: int) -> int:
+def find_nearest(plan: PlanTable, memory: WorldMemory, options: Options, k: int, i: int) -> int:
     """Return the body nearest to robot i, or UNKNOWN if none is near."""
-    best, found, z = NEAR, UNKNOWN, memory.filter[k, i]
+    best, found, z = options.estimation.near, UNKNOWN, memory.filter[k, i]
     for j in range(len(plan.body)):
         if j != i:
             y = memory.filter[k, j]
@@ -213,7 +214,7 @@ def find_nearest(plan: PlanTable, memory: WorldMemory, k: int, i: int) -> int:
 
 
 @compiled
-def apply_impact(plan: PlanTable, memory: WorldMemory, k: int, i: int, j: int, h: float) -> None:
+def apply_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int, i: int, j: int, h: float) -> None:
     """Apply Eq. 6 to the estimates; the overlap after free flight tells how long ago the impact was."""
     a, b = memory.filter[k, i], memory.filter[k, j]
     x, y = b.position[0] - a.position[0], b.position[1] - a.position[1]
@@ -233,16 +234,18 @@ def apply_impact(plan: PlanTable, memory: WorldMemory, k: int, i: int, j: int, h
     felt.approach, felt.normal[0], felt.normal[1] = approach, nx, ny
     felt.free_velocity, felt.object_variance = a.velocity, b.P_vv
     # Replace the filter's variance of the thrust by the learned one.
-    felt.robot_variance = max(a.P_vv - THRUST * THRUST * h * h, 0.0) + memory.velocity_error[k, i]
+    felt.robot_variance = (
+        max(a.P_vv - options.estimation.thrust * options.estimation.thrust * h * h, 0.0) + memory.velocity_error[k, i]
+    )
     for body in (0, 1):
         change = gain * approach if body == 0 else -gain * approach * ratio
-        sigma = UNTRUSTED_JUMP * abs(change) + UNKNOWN_JUMP
+        sigma = options.estimation.untrusted_jump * abs(change) + options.estimation.unknown_jump
         dx, dy = change * nx, change * ny
         add_jump(b if body == 0 else a, ago * dx, ago * dy, dx, dy, sigma * h, sigma)
 
 
 @compiled
-def learn_noise(memory: WorldMemory, k: int, joint: np.ndarray, robots: int, calm: bool) -> None:
+def learn_noise(memory: WorldMemory, options: Options, k: int, joint: np.ndarray, robots: int, calm: bool) -> None:
     """Update the estimate of the noise by the third difference of the objects' positions, unless something happened."""
     sensor, objects = memory.sensor[k], memory.recent.shape[1]
     samples = sensor.samples if calm else 0
@@ -254,7 +257,7 @@ def learn_noise(memory: WorldMemory, k: int, joint: np.ndarray, robots: int, cal
             dy = y - 3.0 * recent[2, 1] + 3.0 * recent[1, 1] - recent[0, 1]
             square = dx * dx + dy * dy
             if math.isfinite(square):
-                keep = 1.0 - 1.0 / MEMORY
+                keep = 1.0 - 1.0 / options.estimation.noise_memory
                 sensor.weight = keep * sensor.weight + 1.0
                 sensor.square = keep * sensor.square + square / 40.0
         for i in range(2):
@@ -263,7 +266,7 @@ def learn_noise(memory: WorldMemory, k: int, joint: np.ndarray, robots: int, cal
     # The sample that came with the event is not kept.
     sensor.samples = min(samples + 1, 3) if calm else 0
     if sensor.weight > 5.0:
-        sensor.sigma = max(math.sqrt(sensor.square / sensor.weight), POSITION_FLOOR)
+        sensor.sigma = max(math.sqrt(sensor.square / sensor.weight), options.estimation.position_floor)
 
 
 @compiled

@@ -16,25 +16,12 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled
+from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.world_memory import NOBODY, WorldMemory
 
 NOW, KNOWN = range(2)  # versions in WorldMemory.pair_*: with the hits that are still observed, and without them
-RESTITUTION_SPREAD = 0.18  # standard deviation of a pair's restitution about the believed one
-MASS_SPREAD = 0.17  # of the logarithm of an object's mass; together they give the gain a spread of 13 %
-SAME_MATERIAL = 0.9  # correlation of the restitutions of pairs with different objects, and
-SAME_OBJECT = 0.97  # with the same object
-WANDER = 0.05  # standard deviation of a pair's restitution from hit to hit, e.g. by their speed
-THRUST_ERROR = 2e-3  # of a robot's velocity over one control period, until it is learned [m/s]
-THRUST_SHARE = 0.1  # of the velocity change by thrust, unknown while the error above is
-ERROR_MEMORY = 20.0  # samples over which such errors are learned
-MODEL_ERROR = 0.01  # of the changes of object and robot, independent, relative to the approach speed
-OBJECT_FLOOR = 5e-5  # of an observed change, at least [m/s]
-RECOIL_SECONDS = 1.5  # after a hit in which the robot's change is looked for [s]
 UNSEEN = 1.0  # variance of a change that was not observed [m^2/s^2]
-SLOWEST = 1e-3  # approach that tells anything [m/s]
-ITERATIONS = 8  # of Gauss-Newton
-FARTHEST = 1.5  # that one hit may move the logarithm of a mass ratio
 OF_OBJECT, OF_ROBOT = range(2)  # changes of velocity in WorldMemory.pair_share
 
 
@@ -45,7 +32,7 @@ def find_row(memory: WorldMemory, r: int, o: int) -> int:
 
 
 @compiled
-def start_pairs(plan: PlanTable, memory: WorldMemory, k: int) -> None:
+def start_pairs(plan: PlanTable, memory: WorldMemory, options: Options, k: int) -> None:
     """Start world k with the believed values and their prior covariance."""
     objects = len(plan.first)
     size = 2 * plan.robots * objects
@@ -59,15 +46,17 @@ def start_pairs(plan: PlanTable, memory: WorldMemory, k: int) -> None:
             if i % 2 != j % 2 or (mass and not same):
                 value = 0.0
             elif mass:
-                value = MASS_SPREAD * MASS_SPREAD
+                value = options.impact_parameters.mass_spread * options.impact_parameters.mass_spread
             else:
-                value = RESTITUTION_SPREAD * RESTITUTION_SPREAD
+                value = options.impact_parameters.restitution_spread * options.impact_parameters.restitution_spread
                 if i != j:
-                    value *= SAME_OBJECT if same else SAME_MATERIAL
+                    value *= options.impact_parameters.same_object if same else options.impact_parameters.same_material
             for version in (NOW, KNOWN):
                 memory.pair_covariance[k, version, i, j] = value
     for i in range(len(plan.body)):
-        memory.velocity_error[k, i] = THRUST_ERROR * THRUST_ERROR if i < plan.robots else 0.0
+        memory.velocity_error[k, i] = (
+            options.impact_parameters.thrust_error * options.impact_parameters.thrust_error if i < plan.robots else 0.0
+        )
 
 
 @compiled
@@ -86,18 +75,21 @@ def compute_pair_gain(memory: WorldMemory, k: int, r: int, o: int) -> float:
 
 
 @compiled
-def compute_gain_spread(memory: WorldMemory, k: int, r: int, o: int) -> float:
+def compute_gain_spread(memory: WorldMemory, options: Options, k: int, r: int, o: int) -> float:
     """Return the standard deviation of the gain of the next hit, relative to the gain, to first order."""
     restitution, ratio = get_pair(memory, k, r, o)
     i, P = find_row(memory, r, o), memory.pair_covariance[k, NOW]
     by_e, by_mass = 1.0 / (1.0 + restitution), -ratio / (1.0 + ratio)
-    variance = by_e * by_e * (P[i, i] + WANDER * WANDER) + 2.0 * by_e * by_mass * P[i, i + 1]
+    variance = (
+        by_e * by_e * (P[i, i] + options.impact_parameters.wander * options.impact_parameters.wander)
+        + 2.0 * by_e * by_mass * P[i, i + 1]
+    )
     variance += by_mass * by_mass * P[i + 1, i + 1]
     return math.sqrt(max(variance, 0.0))
 
 
 @compiled
-def learn_velocity_error(memory: WorldMemory, k: int, i: int, square: float, variance: float) -> None:
+def learn_velocity_error(memory: WorldMemory, options: Options, k: int, i: int, square: float, variance: float) -> None:
     """Learn the variance of body i's velocity after a control period about what its filter predicts.
 
     Thrusters that do not do as they are told show in it, and objects whose centre of mass is elsewhere.
@@ -107,20 +99,20 @@ def learn_velocity_error(memory: WorldMemory, k: int, i: int, square: float, var
         square: of the difference of measured and predicted velocity [m^2/s^2].
         variance: of the measured velocity per axis; one that is worse than what is to be learned tells little.
     """
-    expected = THRUST_ERROR * THRUST_ERROR
-    weight = expected / (expected + variance) / ERROR_MEMORY
+    expected = options.impact_parameters.thrust_error * options.impact_parameters.thrust_error
+    weight = expected / (expected + variance) / options.impact_parameters.error_memory
     memory.velocity_error[k, i] += weight * (max(square / 2.0 - variance, 0.0) - memory.velocity_error[k, i])
 
 
 @compiled
-def watch_recoil(memory: WorldMemory, k: int, o: int, now: float) -> None:
+def watch_recoil(memory: WorldMemory, options: Options, k: int, o: int, now: float) -> None:
     """Observe the change of velocity of the robot that hit object o; keep the observation with the least variance.
 
     Where the robot would be without the hit follows from its thrust, whose error grows with the time it acts.
     """
     hit = memory.hit[k, o]
     contact, r, since = hit.contact, hit.robot, now - hit.time
-    if hit.watched_at == math.inf or since > RECOIL_SECONDS:
+    if hit.watched_at == math.inf or since > options.impact_parameters.recoil_seconds:
         return
     if since > 0.0:
         if memory.touch[k, r] != NOBODY:
@@ -133,8 +125,8 @@ def watch_recoil(memory: WorldMemory, k: int, o: int, now: float) -> None:
         hit.thrust += math.hypot(x, y)
     hit.watched_at = now
     z, error = memory.filter[k, r], memory.velocity_error[k, r]
-    share = THRUST_SHARE * hit.thrust / THRUST_ERROR
-    variance = z.P_vv + error * (2.0 + share * share) + (MODEL_ERROR * contact.approach) ** 2
+    share = options.impact_parameters.thrust_share * hit.thrust / options.impact_parameters.thrust_error
+    variance = z.P_vv + error * (2.0 + share * share) + (options.impact_parameters.model_error * contact.approach) ** 2
     if variance < hit.recoil_variance:
         hit.recoil_variance = variance
         x, y = contact.free_velocity[0] - z.velocity[0], contact.free_velocity[1] - z.velocity[1]
@@ -142,7 +134,7 @@ def watch_recoil(memory: WorldMemory, k: int, o: int, now: float) -> None:
 
 
 @compiled
-def relearn_pairs(memory: WorldMemory, k: int) -> None:
+def relearn_pairs(memory: WorldMemory, options: Options, k: int) -> None:
     """Recompute the estimate of all pairs from settled hits plus all hits still under observation."""
     size = memory.pair_mean.shape[2]
     for i in range(size):
@@ -150,22 +142,24 @@ def relearn_pairs(memory: WorldMemory, k: int) -> None:
         for j in range(size):
             memory.pair_covariance[k, NOW, i, j] = memory.pair_covariance[k, KNOWN, i, j]
     for o in range(memory.hit.shape[1]):
-        learn_hit(memory, k, NOW, o)
+        learn_hit(memory, options, k, NOW, o)
 
 
 @compiled
-def settle_hit(memory: WorldMemory, k: int, o: int) -> None:
+def settle_hit(memory: WorldMemory, options: Options, k: int, o: int) -> None:
     """End the observation of the last hit on object o; the next hit of any pair may differ a little."""
     hit = memory.hit[k, o]
     if hit.is_pending and hit.gained_variance > 0.0:
-        learn_hit(memory, k, KNOWN, o)
+        learn_hit(memory, options, k, KNOWN, o)
         for i in range(0, memory.pair_mean.shape[2], 2):
-            memory.pair_covariance[k, KNOWN, i, i] += WANDER * WANDER
+            memory.pair_covariance[k, KNOWN, i, i] += (
+                options.impact_parameters.wander * options.impact_parameters.wander
+            )
     hit.is_pending = False
 
 
 @compiled
-def learn_hit(memory: WorldMemory, k: int, version: int, o: int) -> None:
+def learn_hit(memory: WorldMemory, options: Options, k: int, version: int, o: int) -> None:
     r"""Update a version of the Gaussian by the observed hit on object o: an iterated extended Kalman filter.
 
     With the errors epsilon of the velocities before and eta of those after, alpha = (1 + e) / (1 + mu) and the measured
@@ -178,7 +172,7 @@ def learn_hit(memory: WorldMemory, k: int, version: int, o: int) -> None:
     """
     hit = memory.hit[k, o]
     s = hit.contact.approach
-    if not hit.is_pending or hit.gained_variance == 0.0 or s < SLOWEST:
+    if not hit.is_pending or hit.gained_variance == 0.0 or s < options.impact_parameters.slowest:
         return
     V_o, V_r = hit.contact.object_variance, hit.contact.robot_variance
     mean, P = memory.pair_mean[k, version], memory.pair_covariance[k, version]
@@ -187,7 +181,7 @@ def learn_hit(memory: WorldMemory, k: int, version: int, o: int) -> None:
     e_0, b_0, ee, eb, bb = mean[i], mean[j], P[i, i], P[i, j], P[j, j]
     e, b, o_e, o_b, r_e, r_b = e_0, b_0, 0.0, 0.0, 0.0, 0.0
     oo, rr, cross, w_o, w_r = 1.0, 1.0, 0.0, 0.0, 0.0
-    for _ in range(ITERATIONS):
+    for _ in range(options.impact_parameters.iterations):
         mu = math.exp(b)
         alpha = (1.0 + e) / (1.0 + mu)
         # Derivatives of the changes of object and robot by e and log mu.
@@ -205,7 +199,10 @@ def learn_hit(memory: WorldMemory, k: int, version: int, o: int) -> None:
         w_o, w_r = (rr * miss_o - cross * miss_r) / det, (oo * miss_r - cross * miss_o) / det
         e = e_0 + (o_e * ee + o_b * eb) * w_o + (r_e * ee + r_b * eb) * w_r
         b = b_0 + (o_e * eb + o_b * bb) * w_o + (r_e * eb + r_b * bb) * w_r
-        e, b = min(max(e, -0.5), 1.5), min(max(b, b_0 - FARTHEST), b_0 + FARTHEST)
+        e, b = (
+            min(max(e, -0.5), 1.5),
+            min(max(b, b_0 - options.impact_parameters.farthest), b_0 + options.impact_parameters.farthest),
+        )
     det = oo * rr - cross * cross
     slopes, covariance = (o_e, o_b, r_e, r_b), (oo / det, rr / det, cross / det)
     correct_pairs(mean, P, memory.pair_share[k, version], i, slopes, covariance, (w_o, w_r))

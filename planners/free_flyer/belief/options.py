@@ -1,8 +1,18 @@
-"""Which parts of the closed loop are on: the expert, and what it is compared with."""
+"""Options of the closed loop: which parts are on, and every number that somebody chose.
+
+The numbers were chosen in closed loop, on tuning seeds of the shipped scenarios' suites (from 1,000,000); what comes
+from elsewhere says so. `make_expert(..., options={"insertion.wall": 0.2})` and `--set expert.insertion.wall=0.2` change
+one.
+"""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import math
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
 
 from impact_envs.errors import InputError, choices
 
@@ -10,16 +20,193 @@ from impact_envs.errors import InputError, choices
 BY_MPC, BY_LQR, BY_OBJECT = range(3)
 
 
-class Options(NamedTuple):
-    """Parts of the closed loop.
+@dataclass(frozen=True)
+class Estimation:
+    """Numbers of the bodies' Kalman filters."""
+
+    near: float = 0.1  # a felt impact is blamed on a body closer than this gap [m]
+    untrusted_jump: float = 0.5  # standard deviation of a modelled velocity jump, relative to its size
+    unknown_jump: float = 0.002  # the same, at least [m/s]
+    unseen_jump: float = 0.05  # the same, of a robot that felt an impact with nothing near [m/s]
+    start_position: float = 1e-3  # standard deviation of a start position from the scenario's [m]
+    start_velocity: float = 1e-4  # of a start velocity [m/s]; that it is small makes a small drift visible early
+    # Beyond so many standard deviations, and so far, a position tells of an unseen event, such as a bounce off a wall.
+    surprise: float = 6.0
+    surprise_floor: float = 2e-3  # [m]
+    position_prior: float = 5e-3  # standard deviation of measured positions until it is estimated [m]
+    position_floor: float = 1e-7  # of measured positions, at least [m]
+    # Of measured velocities over that of positions per control period; a velocity that comes from differences of noisy
+    # positions then hardly counts, an exact one counts fully.
+    velocity_ratio: float = 100.0
+    noise_memory: float = 50.0  # samples over which the position noise is estimated
+    thrust: float = 4e-3  # unmodelled acceleration of robots [m/s^2],
+    thrust_share: float = 0.15  # and this share of what they are pushed with
+    flight: float = 1e-5  # unmodelled acceleration of objects [m/s^2]
+    kept: float = 3e-4  # the same, of objects that keep their velocity [m/s^2]
+    drift: float = 5e-4  # standard deviation of the constant acceleration of an object [m/s^2]
+
+
+@dataclass(frozen=True)
+class ImpactParameters:
+    """Numbers of the estimate of restitution and mass ratio of every pair of robot and object."""
+
+    restitution_spread: float = 0.18  # standard deviation of a pair's restitution about the believed one
+    mass_spread: float = 0.17  # of the logarithm of an object's mass; both together give the gain a spread of 13 %
+    same_material: float = 0.9  # correlation of the restitutions of pairs with different objects,
+    same_object: float = 0.97  # and with the same object
+    wander: float = 0.05  # standard deviation of a pair's restitution from hit to hit, e.g. by their speed
+    thrust_error: float = 2e-3  # of a robot's velocity over one control period, until it is learned [m/s]
+    thrust_share: float = 0.1  # share of the velocity change by thrust that is unknown until then
+    error_memory: float = 20.0  # samples over which such errors are learned
+    model_error: float = 0.01  # of the changes of object and robot, independent, relative to the approach speed
+    object_floor: float = 5e-5  # of an observed change, at least [m/s]
+    recoil_seconds: float = 1.5  # after a hit in which the robot's change is looked for [s]
+    slowest: float = 1e-3  # approach that tells anything [m/s]
+    iterations: int = 8  # of Gauss-Newton
+    farthest: float = 1.5  # that one hit may move the logarithm of a mass ratio
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When impacts are expected, decided, missed and tried again."""
+
+    settle: float = 1.5  # after a contact, until the object's velocity is known well enough to plan with [s]
+    decision_lead: float = 8.0  # before an impact its correction is decided [s],
+    decision_settle: float = 2.5  # after the previous contact, at least [s]
+    replan_window: float = 20.0  # before an impact, in which the course to it is planned anew [s];
+    replan_last: float = 1.0  # but no later than this; later changes only shake the robot [s]
+    replan_period: float = 0.5  # [s]; Verhagen & Tumova, Sec. VI
+    earliest: float = 2.0  # before the expected impact a contact is taken for it [s]
+    patience: float = 1.5  # after the expected impact it counts as missed [s]
+    retry_in: float = 5.0  # a missed impact is tried again after [s]
+    retries: int = 3
+    observable: float = 1.0  # after a contact the object's velocity change can be observed [s]
+    learn_period: float = 0.5  # between looks at what a hit did [s]
+    return_seconds: float = 12.0  # longest quintic back to the plan [s]
+    haste: float = 0.8  # share of the time until a window closes that a flight into it takes
+    fast: float = 0.2  # speed of such a flight, at most [m/s]
+    fastest_clock: float = 1.5  # plan seconds per second; more would force the end pose within the few seconds left
+
+
+@dataclass(frozen=True)
+class Aim:
+    """The velocity that an object should get."""
+
+    shortest_leg: float = 5.0  # a delayed impact makes the object no faster than for a leg of this duration [s]
+    # The last impact brings the object to its end if as much time is left, otherwise only deep enough into its goal.
+    full_correction: float = 15.0  # [s]
+    deep_enough: float = 0.65  # share of the plan's margin
+    bend: float = 0.25  # from the straight way that a drifting object may fly, at most half the next knot's depth [m]
+    cruise: float = 0.15  # speed at which any leg can be flown [m/s]
+    shares: int = 20  # of the way to the plan's end that are tried,
+    smallest: float = 1e-3  # and the preference for a short way [m]
+    same_side: float = 0.3  # cosine by which an impulse may turn from the planned normal without its robot going round
+    other_side: float = 1.0  # how much less a way to the plan's end is worth where it has to [m]
+    scale_range: float = 0.5  # of the logarithm of the impulse, at a learner's correction of 1
+    rotation_range: float = 0.3  # of the impulse, at a learner's correction of 1 [rad]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What a robot is taken to be able to do."""
+
+    ease: float = 0.75  # share of the thrust that a course to an impact may need
+
+
+@dataclass(frozen=True)
+class Replanning:
+    """The course of a robot to an impact."""
+
+    central: float = 0.966  # cosine by which an impulse may turn to go through the centre of an object that is no disc
+    postponements: int = 10  # of a second each
+    steady_way: float = 0.03  # towards the object, that a robot goes at constant speed before it hits it [m],
+    steady: float = 1.5  # for no longer than this,
+    quick: float = 0.3  # and not if that is done as quickly [s]
+    off_course: float = 0.1  # tracking error above which a course starts from the estimated state [m]
+
+
+@dataclass(frozen=True)
+class Retiming:
+    """When the coming impact is moved to."""
+
+    frozen: float = 4.0  # before an impact its time is kept [s]
+    candidates: int = 121  # times that are tried,
+    refined: int = 20  # then so many on either side of the best
+    crowding: float = 0.1  # the object should be hit so deep inside what its knot demands [m]
+    outside: float = 20.0  # weight of missing that, squared, over missing the planned place, squared
+    pull: float = 1e-5  # weight of changing the time, squared [m^2/s^2]
+    reserve: float = 4.0  # after the last impact [s], or
+    reserve_share: float = 0.1  # of the horizon
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """Impacts that the plan does not have."""
+
+    safe: float = 0.02  # an impact is inserted where a knot's demands would be met by less than this [m]
+    safe_deviations: float = 0.5  # and so many standard deviations less,
+    deviations: float = 1.0  # or, after the last impact, so many,
+    shallow: float = 0.3  # for ending less deep than this share of the plan's margin
+    most: int = 4  # per object
+    long_astray: float = 5.0  # without a robot that could mend it, until a new plan is wanted [s],
+    soon: float = 2.0  # or this if what is left of the plan has no optimum [s]
+    leads: tuple[float, ...] = (6.0, 7.0, 9.0, 5.0, 4.0, 12.0, 15.0, 20.0)  # from now to an inserted impact [s]
+    hastes: tuple[float, ...] = (1.0, 0.7, 0.5)  # shares of the next flight's duration; a short one turns it less
+    least_leg: float = 3.0  # after an inserted impact [s]
+    rest: float = 5.0  # of its robot before the next one [s]
+    least_change: float = 4e-3  # of the object's velocity that is worth an impact [m/s]
+    side: float = 0.6  # cosine between the way from robot to object and the change of velocity, at least
+    edge: float = 0.2  # an impact is inserted, too, if its robot would come so near to areas it may not leave [m]
+    wall: float = 0.1  # kept by the robot from the edge of areas it may not leave [m]
+
+
+@dataclass(frozen=True)
+class Reoptimisation:
+    """Times and places of the impacts that are left, after each one."""
+
+    scale_rho: float = 0.1  # deviation from the plan's robustness that costs 1 [m]
+    scale_place: float = 0.3  # of a place [m]
+    scale_time: float = 10.0  # of a time [s]
+    notice: float = 4.0  # from now to the next impact [s]
+    gap: float = 4.0  # between impacts of one object [s]
+    share: float = 0.6  # of an object's greatest speed that legs may need
+    widest: float = math.tan(math.pi / 3)  # tangent of the half-angle of the cone round the normal that legs fill
+    shortest_way: float = 0.05  # of a robot, for the linearisation of its time [m]
+    shortest_leg: float = 0.05  # of an object, that has a direction [m]
+    inset: float = 0.25  # from both ends of a window [s]
+
+
+@dataclass(frozen=True)
+class Avoidance:
+    """Keeping off bodies that are not to be hit."""
+
+    clearance: float = 0.1  # kept between the edges of two bodies [m]
+    braking: float = 0.7  # share of the thrust, for each of two robots
+    sweeps: int = 3  # over all neighbours
+
+
+@dataclass(frozen=True)
+class Background:
+    """New plans, made in a process beside the loop."""
+
+    delay: float = 2.0  # from asking for a plan to taking it over [s]
+    most: int = 2  # asked for in an episode
+    apart: float = 8.0  # from the answer to the next question [s]
+    least_left: float = 15.0  # of the horizon [s]
+    calm: float = 1.0  # before the next impact, when a plan is taken over [s]
+    time_limit: float = 6.0  # of the solver, should it take far too long; an episode that needs it may differ [s]
+
+
+@dataclass(frozen=True)
+class Options:
+    """Parts of the closed loop and their numbers; what has none of the numbers' groups is a switch.
 
     Attributes:
         once: plan each impact once, as the published code does; otherwise every 0.5 s, as the paper says.
         learn: estimate restitution and mass from what impacts did.
         retime: move an impact to when the object is where it should be hit, and try a missed one again.
         drift: a constant unknown acceleration of every object in its filter.
-        insert: add an unplanned impact when the object would miss its next knot or leave its goal; slow it gently
-            at the goal.
+        insert: add an unplanned impact when the object would miss its next target; slow it gently at the goal.
         reoptimise: choose times and places of the impacts that are left anew after each one.
         plan_anew: plan the rest in the background, with who hits what open, where that fails.
         avoid: keep off bodies that are not to be hit.
@@ -35,24 +222,35 @@ class Options(NamedTuple):
     plan_anew: bool = True
     avoid: bool = True
     tracker: str = "mpc"
+    estimation: Estimation = Estimation()
+    impact_parameters: ImpactParameters = ImpactParameters()
+    timing: Timing = Timing()
+    aim: Aim = Aim()
+    reach: Reach = Reach()
+    replanning: Replanning = Replanning()
+    retiming: Retiming = Retiming()
+    insertion: Insertion = Insertion()
+    reoptimisation: Reoptimisation = Reoptimisation()
+    avoidance: Avoidance = Avoidance()
+    background: Background = Background()
 
 
 EXPERT = Options()
 # Each is the one before and more; the last part makes the expert.
 _PAPER = Options(learn=False, retime=False, drift=False, insert=False, reoptimise=False, plan_anew=False, avoid=False)
 VARIANTS = {
-    "one_replan": _PAPER._replace(once=True),
+    "one_replan": replace(_PAPER, once=True),
     "paper_expert": _PAPER,
-    "with_learning": _PAPER._replace(learn=True),
-    "with_retiming": _PAPER._replace(learn=True, retime=True),
-    "with_drift": _PAPER._replace(learn=True, retime=True, drift=True),
-    "with_insertion": EXPERT._replace(reoptimise=False, plan_anew=False),
-    "with_reoptimisation": EXPERT._replace(plan_anew=False),
+    "with_learning": replace(_PAPER, learn=True),
+    "with_retiming": replace(_PAPER, learn=True, retime=True),
+    "with_drift": replace(_PAPER, learn=True, retime=True, drift=True),
+    "with_insertion": replace(EXPERT, reoptimise=False, plan_anew=False),
+    "with_reoptimisation": replace(EXPERT, plan_anew=False),
 }
 
 
 def get_options(variant: str | None) -> Options:
-    """Return the parts of the closed loop that a variant has; all of them without one.
+    """Return the parts of the closed loop that a variant has; default: all of them.
 
     Raises:
         InputError: unknown variant.
@@ -64,6 +262,35 @@ def get_options(variant: str | None) -> Options:
     return VARIANTS[variant]
 
 
-def encode_options(options: Options) -> tuple[Any, ...]:
-    """Return the options as compiled code takes them: the tracker as its number."""
-    return tuple(options._replace(tracker={"mpc": BY_MPC, "lqr": BY_LQR}.get(options.tracker, BY_OBJECT)))  # type: ignore[arg-type]
+@cache
+def make_record(options: Options) -> np.ndarray:
+    """Return options as compiled code takes them: one record with fields of the same names, the tracker as its number.
+
+    Returns:
+        Shape (1,); options.insertion.wall is record[0]["insertion"]["wall"].
+    """
+    number = {"mpc": BY_MPC, "lqr": BY_LQR}.get(options.tracker, BY_OBJECT)
+    encoded = replace(options, tracker=number)  # type: ignore[arg-type]
+    record = np.zeros(1, _make_dtype(encoded))
+    _fill_record(record[0], encoded)
+    return record
+
+
+def _make_dtype(options: Any) -> np.dtype:
+    columns: list[Any] = [(item.name, *_describe(getattr(options, item.name))) for item in fields(options)]
+    return np.dtype(columns, align=True)
+
+
+def _describe(value: Any) -> tuple[Any, ...]:
+    if is_dataclass(value):
+        return (_make_dtype(value),)
+    return (type(value[0]), len(value)) if isinstance(value, tuple) else (type(value),)
+
+
+def _fill_record(record: Any, options: Any) -> None:
+    for item in fields(options):
+        value = getattr(options, item.name)
+        if is_dataclass(value):
+            _fill_record(record[item.name], value)
+        else:
+            record[item.name] = value

@@ -5,19 +5,17 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
+from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT
 
 NO_TARGET = -1
-CLEARANCE = 0.1  # kept between the edges of two bodies [m]
-BRAKING = 0.7  # of the thrust, for each of two robots
-SWEEPS = 3  # over all neighbours
 
 
 @compiled
 def avoid_bodies(
-    plan: PlanTable, memory: WorldMemory, k: int, r: int, target: int, ax: float, ay: float
+    plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, target: int, ax: float, ay: float
 ) -> tuple[float, float, float]:
     r"""Return the acceleration nearest to a desired one with which robot r can still brake before all but its target.
 
@@ -37,7 +35,7 @@ def avoid_bodies(
     h, z = plan.period, memory.filter[k, r]
     most = plan.pilot[r, GAIN] * plan.pilot[r, INPUT_LIMIT]
     slack, changed = 0.0, False
-    for _ in range(SWEEPS):
+    for _ in range(options.avoidance.sweeps):
         slack = 0.0
         for j in range(len(plan.body)):
             if j in (r, target):
@@ -46,8 +44,8 @@ def avoid_bodies(
             dx, dy = y.position[0] - z.position[0], y.position[1] - z.position[1]
             distance = math.hypot(dx, dy)
             nx, ny = dx / max(distance, 1e-9), dy / max(distance, 1e-9)
-            room = distance - plan.body[r].radius - plan.body[j].radius - CLEARANCE
-            brake = BRAKING * most
+            room = distance - plan.body[r].radius - plan.body[j].radius - options.avoidance.clearance
+            brake = options.avoidance.braking * most
             if j < plan.robots and not memory.course[k, j].ends_in_impact:
                 brake *= 2.0
             lost = brake * h  # a control period passes before it brakes

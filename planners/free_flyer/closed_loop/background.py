@@ -24,19 +24,12 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.errors import PlanningError
 from planners.free_flyer.belief.estimator import extrapolate_flight
+from planners.free_flyer.belief.options import EXPERT, Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import PAST_PERIOD, WorldMemory
-from planners.free_flyer.next_impact.bookkeeping import SETTLE
 from planners.free_flyer.nominal.remaining import make_remaining_scenario, plan_rest
 from planners.free_flyer.tracking.course import evaluate_course
 from planners.plan import Plan
-
-DELAY = 2.0  # from asking for a plan to taking it over [s]
-MOST_PLANS = 2  # asked for in an episode
-APART = 8.0  # from the answer to the next question [s]
-LEAST_LEFT = 15.0  # of the horizon [s]
-CALM = 1.0  # before the next impact, when a plan is taken over [s]
-TIME_LIMIT = 6.0  # of the solver, should it take far too long [s]
 
 
 @dataclass(frozen=True)
@@ -59,10 +52,11 @@ class Background:
 
     Args:
         scenario: the whole task, as believed.
+        options: of the closed loop.
     """
 
-    def __init__(self, scenario: FreeFlyerScenario) -> None:
-        self._scenario = scenario
+    def __init__(self, scenario: FreeFlyerScenario, options: Options = EXPERT) -> None:
+        self._scenario, self._options = scenario, options
         self._pending: dict[int, Request] = {}
         self._asked: dict[int, int] = {}
         self._next: dict[int, float] = {}
@@ -96,10 +90,10 @@ class Background:
         if now >= self._next.get(k, math.inf):
             del self._next[k]
             memory.wanted[k] = math.inf
-        elif 0.0 <= memory.wanted[k] <= now and _is_calm(memory, k, now):
+        elif 0.0 <= memory.wanted[k] <= now and _is_calm(memory, self._options, k, now):
             # No further plan is wanted before this one had time to act.
             memory.wanted[k] = -math.inf
-            if table.horizon - now >= LEAST_LEFT:
+            if table.horizon - now >= self._options.background.least_left:
                 self._ask_plan(table, memory, k, now)
         return None
 
@@ -122,12 +116,12 @@ class Background:
     __del__ = close
 
     def _allow_next(self, k: int, now: float) -> None:
-        if self._asked[k] < MOST_PLANS:
-            self._next[k] = now + APART
+        if self._asked[k] < self._options.background.most:
+            self._next[k] = now + self._options.background.apart
 
     def _ask_plan(self, table: PlanTable, memory: WorldMemory, k: int, now: float) -> None:
         self._asked[k] = self._asked.get(k, 0) + 1
-        begin = round(round((now + DELAY) / table.period) * table.period, 9)
+        begin = round(round((now + self._options.background.delay) / table.period) * table.period, 9)
         try:
             rest = self._make_rest(table, memory, k, now, begin)
         except InputError:
@@ -140,6 +134,7 @@ class Background:
             "number": self._numbers,
             "scenario": rest.model_dump(mode="json"),
             "impacts": _count_impacts(table, memory, k),
+            "time_limit": self._options.background.time_limit,
         }
         stdin = self._reach_worker()
         try:
@@ -213,12 +208,12 @@ def _forward(answers: TextIO, lines: queue.SimpleQueue[str]) -> None:
     lines.put("")
 
 
-def _is_calm(memory: WorldMemory, k: int, now: float) -> bool:
+def _is_calm(memory: WorldMemory, options: Options, k: int, now: float) -> bool:
     """Return whether no impact is near now or when a new plan is taken over."""
     strike = memory.strike[k]
     coming = strike[(strike["index"] != NO_IMPACT) | strike["is_inserted"]]
-    settled = (now >= strike["last_contact"] + SETTLE).all()
-    return bool((coming["time"] > now + DELAY + CALM).all() and settled)
+    settled = (now >= strike["last_contact"] + options.timing.settle).all()
+    return bool((coming["time"] > now + options.background.delay + options.background.calm).all() and settled)
 
 
 def _count_impacts(table: PlanTable, memory: WorldMemory, k: int) -> int:
@@ -234,14 +229,14 @@ def answer_requests(requests: TextIO, answers: TextIO) -> None:
     """Plan what is asked for, line by line, until there is no more.
 
     Args:
-        requests: lines {"number", "scenario", "impacts"} of JSON.
+        requests: lines {"number", "scenario", "impacts", "time_limit"} of JSON.
         answers: lines {"number", "plan"}, plan as JSON text or null.
     """
     for line in requests:
         request = json.loads(line)
         try:
             scenario = FreeFlyerScenario.model_validate(request["scenario"])
-            plan = plan_rest(scenario, request["impacts"], TIME_LIMIT).to_json()
+            plan = plan_rest(scenario, request["impacts"], request["time_limit"]).to_json()
         except (PlanningError, InputError):
             plan = None
         answers.write(json.dumps({"number": request["number"], "plan": plan}) + "\n")

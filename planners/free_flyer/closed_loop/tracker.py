@@ -90,7 +90,7 @@ def apply_solution(
         ax = g * (cos * actions[k, r, 0] - sin * actions[k, r, 1])
         ay = g * (sin * actions[k, r, 0] + cos * actions[k, r, 1])
         striking = o != NO_OBJECT and memory.course[k, r].ends_in_impact
-        bx, by, _ = avoid_bodies(plan, memory, k, r, plan.robots + o if striking else NO_TARGET, ax, ay)
+        bx, by, _ = avoid_bodies(plan, memory, options, k, r, plan.robots + o if striking else NO_TARGET, ax, ay)
         if bx != ax or by != ay:
             actions[k, r, 0], actions[k, r, 1] = (cos * bx + sin * by) / g, (cos * by - sin * bx) / g
     for i in range(3):

@@ -23,9 +23,6 @@ from planners.free_flyer.belief.world_memory import (
 )
 from planners.free_flyer.closed_loop.tracker import apply_solution, fill_reference, fill_state, track_course
 from planners.free_flyer.next_impact.bookkeeping import (
-    REPLAN_LAST,
-    REPLAN_PERIOD,
-    SETTLE,
     find_due,
     forget_hits,
     learn_from_hits,
@@ -37,16 +34,15 @@ from planners.free_flyer.next_impact.bookkeeping import (
     take_misses,
 )
 from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF
-from planners.free_flyer.next_impact.insertion import LONG_ASTRAY, SOON, insert_impact
+from planners.free_flyer.next_impact.insertion import insert_impact
 from planners.free_flyer.next_impact.reoptimisation import reoptimise_rest
 from planners.free_flyer.next_impact.replanner import replan_course
 from planners.free_flyer.next_impact.rest_qp import RestQP
-from planners.free_flyer.next_impact.retiming import FROZEN, retime_impact
+from planners.free_flyer.next_impact.retiming import retime_impact
 from planners.free_flyer.tracking.mpc import Workspace
 
 # What to do with the worlds.
 START, OBSERVE, CONTROL, ACT, ADOPT, PREPARE, APPLY = range(7)
-REPLAN_WINDOW = 20.0  # before an impact [s]
 
 
 @compiled
@@ -54,24 +50,24 @@ def start_world(plan: PlanTable, memory: WorldMemory, options: Options, k: int) 
     """Forget the last episode of world k."""
     memory.time[k] = 0.0
     open_filters(plan, memory, options, k)
-    forget_hits(plan, memory, k)
-    start_strikes(plan, memory, k, 0.0)
+    forget_hits(plan, memory, options, k)
+    start_strikes(plan, memory, options, k, 0.0)
     memory.wanted[k] = math.inf
     memory.counts[k] = BLANK_COUNTS
     for r in range(plan.robots):
         memory.push[k, r, 0] = memory.push[k, r, 1] = 0.0
         memory.shifted[k, r].count = 0
         memory.course[k, r] = BLANK_COURSE
-    set_clocks(plan, memory, k, 0.0)
+    set_clocks(plan, memory, options, k, 0.0)
 
 
 @compiled
-def adopt_world(plan: PlanTable, memory: WorldMemory, k: int) -> None:
+def adopt_world(plan: PlanTable, memory: WorldMemory, options: Options, k: int) -> None:
     """Let world k follow a new plan from now on; keep what was learned of its objects."""
     now = memory.time[k]
-    start_strikes(plan, memory, k, now)
+    start_strikes(plan, memory, options, k, now)
     for r in range(plan.robots):
-        return_robot(plan, memory, k, r, now, now)
+        return_robot(plan, memory, options, k, r, now, now)
 
 
 @compiled
@@ -90,15 +86,15 @@ def observe_world(
     if not math.isfinite(now):
         now = memory.time[k] + plan.period
     remember_before(plan, memory, k)
-    update_estimates(plan, memory, k, joint, now)
+    update_estimates(plan, memory, options, k, joint, now)
     for r in range(plan.robots):
         if memory.touch[k, r] != NOBODY:
-            take_contact(plan, memory, k, r, now)
+            take_contact(plan, memory, options, k, r, now)
     take_misses(plan, memory, options, k, now)
     learn_from_hits(plan, memory, options, k, now)
     look_ahead(plan, memory, options, qp, c, k, now)
     remember_positions(plan, memory, k, now)
-    return find_due(plan, memory, k, now)
+    return find_due(plan, memory, options, k, now)
 
 
 @compiled
@@ -145,12 +141,12 @@ def prepare_robot(plan: PlanTable, memory: WorldMemory, options: Options, worksp
 def take_corrections(plan: PlanTable, memory: WorldMemory, options: Options, k: int) -> None:
     """Take the corrections that are due as they are now; the courses to their impacts are planned anew."""
     now = memory.time[k]
-    due = find_due(plan, memory, k, now)
+    due = find_due(plan, memory, options, k, now)
     while due != NO_OBJECT:
         memory.strike[k, due].is_decided = True
         if not options.once:
             memory.strike[k, due].replanned_at = -math.inf
-        due = find_due(plan, memory, k, now)
+        due = find_due(plan, memory, options, k, now)
 
 
 @compiled
@@ -173,10 +169,14 @@ def should_replan(memory: WorldMemory, options: Options, k: int, r: int, o: int,
     """Return whether the course of robot r to its impact on object o has to be replanned now."""
     strike = memory.strike[k, o]
     time = strike.time
-    settled = now >= strike.last_contact + SETTLE - ROUND_OFF
-    near = time - REPLAN_WINDOW <= now + ROUND_OFF or memory.course[k, r].ends_in_impact
-    due = strike.replanned_at == -math.inf if options.once else now >= strike.replanned_at + REPLAN_PERIOD - ROUND_OFF
-    return settled and near and due and now <= time - REPLAN_LAST + ROUND_OFF
+    settled = now >= strike.last_contact + options.timing.settle - ROUND_OFF
+    near = time - options.timing.replan_window <= now + ROUND_OFF or memory.course[k, r].ends_in_impact
+    due = (
+        strike.replanned_at == -math.inf
+        if options.once
+        else now >= strike.replanned_at + options.timing.replan_period - ROUND_OFF
+    )
+    return settled and near and due and now <= time - options.timing.replan_last + ROUND_OFF
 
 
 @compiled
@@ -184,21 +184,28 @@ def look_ahead(plan: PlanTable, memory: WorldMemory, options: Options, qp: RestQ
     """Move or insert the coming impacts of world k, where options say so and the objects' flight is known."""
     for o in range(len(plan.first)):
         strike = memory.strike[k, o]
-        settled = now >= strike.last_contact + SETTLE - ROUND_OFF
-        if not settled or strike.is_inserted or now < strike.looked_at + REPLAN_PERIOD - ROUND_OFF:
+        settled = now >= strike.last_contact + options.timing.settle - ROUND_OFF
+        if not settled or strike.is_inserted or now < strike.looked_at + options.timing.replan_period - ROUND_OFF:
             continue
         strike.looked_at = now
         if options.reoptimise and strike.last_contact > strike.optimised_at and strike.index != NO_IMPACT:
             strike.optimised_at = now
-            if reoptimise_rest(plan, memory, qp, c, k, o, now):
+            if reoptimise_rest(plan, memory, options, qp, c, k, o, now):
                 memory.counts[k].reoptimised += 1
-                set_clocks(plan, memory, k, now)
+                set_clocks(plan, memory, options, k, now)
             else:
                 memory.counts[k].no_optimum += 1
                 # Its rows are on the safe side: a new plan is wanted only if the flight goes astray, but then sooner.
-                strike.astray_since = min(strike.astray_since, now - LONG_ASTRAY + SOON)
-        if options.retime and strike.last_contact > 0.0 and strike.index != NO_IMPACT and now <= strike.time - FROZEN:
-            retime_impact(plan, memory, k, o, now)
+                strike.astray_since = min(
+                    strike.astray_since, now - options.insertion.long_astray + options.insertion.soon
+                )
+        if (
+            options.retime
+            and strike.last_contact > 0.0
+            and strike.index != NO_IMPACT
+            and now <= strike.time - options.retiming.frozen
+        ):
+            retime_impact(plan, memory, options, k, o, now)
         if options.insert and strike.last_contact > 0.0:
             insert_impact(plan, memory, options, k, o, now)
 
@@ -207,7 +214,7 @@ def look_ahead(plan: PlanTable, memory: WorldMemory, options: Options, qp: RestQ
 def run_experts(
     plan: tuple,
     memory: tuple,
-    options: tuple,
+    options: np.ndarray,
     workspace: tuple,
     qp: tuple,
     joint: np.ndarray,
@@ -223,7 +230,8 @@ def run_experts(
     A tracker that is no compiled one is called between PREPARE and APPLY of each robot.
 
     Args:
-        plan, memory, options, workspace, qp: the fields of PlanTable, WorldMemory, Options, Workspace, RestQP.
+        plan, memory, workspace, qp: the fields of PlanTable, WorldMemory, Workspace, RestQP.
+        options: see `options.make_record`.
         joint: everything measured once, shape (N, 7 n + r + 3).
         actions: written by CONTROL, ACT and APPLY, shape (N, r, 3).
         due: object whose coming impact's correction is due, or NO_OBJECT, written by START and OBSERVE, shape (N,).
@@ -233,14 +241,14 @@ def run_experts(
         first, end: range of worlds.
     """
     plan_, memory_ = PlanTable(*plan), WorldMemory(*memory)
-    options_, workspace_, qp_ = Options(*options), Workspace(*workspace), RestQP(*qp)
+    options_, workspace_, qp_ = options[0], Workspace(*workspace), RestQP(*qp)
     clock = joint.shape[1] - 3
     for k in range(first, end):
         if phase == START or (phase == ACT and joint[k, clock] == 0.0):
             start_world(plan_, memory_, options_, k)
             due[k] = NO_OBJECT
         if phase == ADOPT:
-            adopt_world(plan_, memory_, k)
+            adopt_world(plan_, memory_, options_, k)
         if phase in (OBSERVE, ACT):
             due[k] = observe_world(plan_, memory_, options_, qp_, c, k, joint)
         if phase in (CONTROL, ACT):

@@ -6,8 +6,6 @@ import math
 
 from impact_envs.compiled import compiled
 from planners.free_flyer.belief.impact_parameters import (
-    MODEL_ERROR,
-    OBJECT_FLOOR,
     UNSEEN,
     relearn_pairs,
     settle_hit,
@@ -28,34 +26,17 @@ from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF
 from planners.free_flyer.next_impact.two_body import Outcome
 from planners.free_flyer.tracking.course import read_clock, return_to_plan, set_clock
 
-SETTLE = 1.5  # after a contact, until the object's velocity is known well enough to plan with [s]
-DECISION_LEAD = 8.0  # before an impact its correction is decided [s]
-DECISION_SETTLE = 2.5  # after the previous contact, at least [s]
-REPLAN_LAST = 1.0  # before an impact; later changes only shake the robot [s]
-REPLAN_PERIOD = 0.5  # [s]
-SHORTEST_NOTICE = DECISION_SETTLE + REPLAN_LAST + REPLAN_PERIOD  # of an impact after a contact that came late [s]
-EARLIEST = 2.0  # before the expected impact a contact is taken for it [s]
-PATIENCE = 1.5  # after the expected impact it counts as missed [s]
-RETRY_IN = 5.0  # a missed impact is tried again after [s]
-RETRIES = 3
-OBSERVABLE = 1.0  # after a contact the object's velocity change can be observed [s]
-LEARN_PERIOD = 0.5  # between looks at what a hit did [s]
-RETURN_SECONDS = 12.0  # longest quintic back to the plan
-HASTE = 0.8  # of the time until a window closes, that a flight into it takes
-FAST = 0.2  # speed of such a flight, at most [m/s]
-FASTEST_CLOCK = 1.5  # plan seconds per second; more would force the end pose within the few seconds left
-
 
 @compiled
-def forget_hits(plan: PlanTable, memory: WorldMemory, k: int) -> None:
+def forget_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: int) -> None:
     """Forget what world k's impacts taught."""
     for o in range(memory.hit.shape[1]):
         memory.hit[k, o] = BLANK_HIT
-    start_pairs(plan, memory, k)
+    start_pairs(plan, memory, options, k)
 
 
 @compiled
-def start_strikes(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> None:
+def start_strikes(plan: PlanTable, memory: WorldMemory, options: Options, k: int, now: float) -> None:
     """Start world k with the first impact of every object.
 
     Args:
@@ -70,7 +51,7 @@ def start_strikes(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> N
                 # Objects usually arrive late: start the flight into a window early enough for a weak throw to arrive.
                 start, last = memory.clock[k, before], plan.knot[before].position
                 way = math.hypot(knot.position[0] - last[0], knot.position[1] - last[1])
-                sooner = start + max(HASTE * (knot.closes - start), way / FAST)
+                sooner = start + max(options.timing.haste * (knot.closes - start), way / options.timing.fast)
                 memory.clock[k, at] = min(max(sooner, knot.opens), impact.time)
             at, before = impact.next, at
     for i in range(len(plan.knot)):
@@ -78,13 +59,15 @@ def start_strikes(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> N
     for o in range(len(plan.first)):
         strike = memory.strike[k, o]
         memory.strike[k, o] = BLANK_STRIKE
-        calm = now - SETTLE if now > 0.0 else -math.inf
+        calm = now - options.timing.settle if now > 0.0 else -math.inf
         strike.last_contact = strike.looked_at = strike.optimised_at = calm
-        await_impact(plan, memory, k, o, plan.first[o], now)
+        await_impact(plan, memory, options, k, o, plan.first[o], now)
 
 
 @compiled
-def await_impact(plan: PlanTable, memory: WorldMemory, k: int, o: int, index: int, now: float) -> None:
+def await_impact(
+    plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, index: int, now: float
+) -> None:
     """Make a planned impact, or none (NO_IMPACT), the coming one of object o."""
     strike = memory.strike[k, o]
     strike.index, strike.is_inserted, strike.misses, strike.replanned_at = index, False, 0, -math.inf
@@ -92,7 +75,9 @@ def await_impact(plan: PlanTable, memory: WorldMemory, k: int, o: int, index: in
     strike.robot, strike.time, strike.astray_since = NO_ROBOT, math.inf, math.inf
     if index != NO_IMPACT:
         strike.robot, strike.reference_normal = plan.impact[index].robot, plan.impact[index].normal
-        earliest = now + SHORTEST_NOTICE if now > 0.0 else 0.0
+        timing = options.timing
+        notice = timing.decision_settle + timing.replan_last + timing.replan_period  # after a contact that came late
+        earliest = now + notice if now > 0.0 else 0.0
         set_time(plan, memory, k, o, index, max(memory.clock[k, index], earliest))
 
 
@@ -111,18 +96,20 @@ def set_time(plan: PlanTable, memory: WorldMemory, k: int, o: int, index: int, t
 
 
 @compiled
-def set_clocks(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> None:
+def set_clocks(plan: PlanTable, memory: WorldMemory, options: Options, k: int, now: float) -> None:
     """Set the clock of every robot that follows its plan, so that it is in time for its next event."""
     for r in range(plan.robots):
         course = memory.course[k, r]
         if not course.ends_in_impact:
             time, planned, _ = find_next_event(plan, memory, k, r)
             tau = min(read_clock(course, now), course.stop)
-            set_clock(course, now, tau, time, planned, FASTEST_CLOCK)
+            set_clock(course, now, tau, time, planned, options.timing.fastest_clock)
 
 
 @compiled
-def return_robot(plan: PlanTable, memory: WorldMemory, k: int, r: int, now: float, tau: float) -> None:
+def return_robot(
+    plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, now: float, tau: float
+) -> None:
     """Plan robot r's course back to its plan, whose time is tau now."""
     time, planned, _ = find_next_event(plan, memory, k, r)
     z = memory.filter[k, r]
@@ -137,8 +124,8 @@ def return_robot(plan: PlanTable, memory: WorldMemory, k: int, r: int, now: floa
         tau,
         time,
         planned,
-        RETURN_SECONDS,
-        FASTEST_CLOCK,
+        options.timing.return_seconds,
+        options.timing.fastest_clock,
     )
     memory.counts[k].replans += 1
 
@@ -151,22 +138,22 @@ def remember_before(plan: PlanTable, memory: WorldMemory, k: int) -> None:
 
 
 @compiled
-def take_contact(plan: PlanTable, memory: WorldMemory, k: int, r: int, now: float) -> None:
+def take_contact(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, now: float) -> None:
     """Record a contact of robot r: the coming impact is done if robot, object and time fit."""
     other = memory.touch[k, r]
     tau = min(read_clock(memory.course[k, r], now), memory.course[k, r].stop)
     if other < plan.robots:
         memory.counts[k].unplanned_contact += 1
-        return_robot(plan, memory, k, r, now, tau)
+        return_robot(plan, memory, options, k, r, now, tau)
         return
     o = other - plan.robots
     strike, hit = memory.strike[k, o], memory.hit[k, o]
     strike.last_contact, index = now, strike.index
-    settle_hit(memory, k, o)
-    expected = strike.robot == r and now >= strike.time - EARLIEST
+    settle_hit(memory, options, k, o)
+    expected = strike.robot == r and now >= strike.time - options.timing.earliest
     if not expected:
         memory.counts[k].unplanned_contact += 1
-        return_robot(plan, memory, k, r, now, tau)
+        return_robot(plan, memory, options, k, r, now, tau)
         return
     if strike.is_solved:
         hit.is_pending, hit.time, hit.robot, hit.commanded = True, now, r, strike.change
@@ -174,12 +161,12 @@ def take_contact(plan: PlanTable, memory: WorldMemory, k: int, r: int, now: floa
         hit.watched_at, hit.thrust, hit.learned_at = now, 0.0, -math.inf
         hit.gained_variance, hit.recoil_variance = 0.0, UNSEEN
     if strike.is_inserted:
-        await_impact(plan, memory, k, o, index, now)
+        await_impact(plan, memory, options, k, o, index, now)
     else:
         tau = plan.impact[index].time + min(max(now - strike.time, 0.0), plan.period)
-        await_impact(plan, memory, k, o, plan.impact[index].next, now)
-    return_robot(plan, memory, k, r, now, tau)
-    set_clocks(plan, memory, k, now)
+        await_impact(plan, memory, options, k, o, plan.impact[index].next, now)
+    return_robot(plan, memory, options, k, r, now, tau)
+    set_clocks(plan, memory, options, k, now)
 
 
 @compiled
@@ -187,25 +174,25 @@ def take_misses(plan: PlanTable, memory: WorldMemory, options: Options, k: int, 
     """Retry the impacts that are overdue, or give them up."""
     for o in range(len(plan.first)):
         strike = memory.strike[k, o]
-        if now <= strike.time + PATIENCE:
+        if now <= strike.time + options.timing.patience:
             continue
         index, r = strike.index, strike.robot
         useless = strike.outcome == Outcome.NOT_NEEDED or strike.outcome == Outcome.OUT_OF_REACH
         hopeless = strike.is_solved and useless
-        again = not strike.is_inserted and not hopeless and strike.misses < RETRIES
-        if again and options.retime and now + RETRY_IN < plan.horizon:
+        again = not strike.is_inserted and not hopeless and strike.misses < options.timing.retries
+        if again and options.retime and now + options.timing.retry_in < plan.horizon:
             strike.misses, strike.replanned_at = strike.misses + 1, -math.inf
-            set_time(plan, memory, k, o, index, now + RETRY_IN)
+            set_time(plan, memory, k, o, index, now + options.timing.retry_in)
             memory.counts[k].retry += 1
         else:
             tau = min(read_clock(memory.course[k, r], now), memory.course[k, r].stop)
             if not strike.is_inserted:
                 tau = plan.impact[index].time
                 index = plan.impact[index].next
-            await_impact(plan, memory, k, o, index, now)
-            return_robot(plan, memory, k, r, now, tau)
+            await_impact(plan, memory, options, k, o, index, now)
+            return_robot(plan, memory, options, k, r, now, tau)
             memory.counts[k].give_up += 1
-        set_clocks(plan, memory, k, now)
+        set_clocks(plan, memory, options, k, now)
 
 
 @compiled
@@ -221,8 +208,8 @@ def learn_from_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: i
         since = now - hit.time
         if not hit.is_pending:
             continue
-        watch_recoil(memory, k, o, now)
-        if since < OBSERVABLE - ROUND_OFF:
+        watch_recoil(memory, options, k, o, now)
+        if since < options.timing.observable - ROUND_OFF:
             continue
         flight = since + plan.period  # the velocity before the hit is that of a step before
         x = z.velocity[0] - hit.before[0] - z.drift[0] * flight
@@ -230,22 +217,25 @@ def learn_from_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: i
         if hit.commanded > 0.0:
             hit.seen += 1 if hit.ratio == 0.0 else 0
             hit.ratio = math.hypot(x, y) / hit.commanded
-        if options.learn and now >= hit.learned_at + LEARN_PERIOD - ROUND_OFF:
+        if options.learn and now >= hit.learned_at + options.timing.learn_period - ROUND_OFF:
             hit.gained = x * hit.contact.normal[0] + y * hit.contact.normal[1]
             variance = max(z.P_vv - 2.0 * since * z.P_va + since * since * z.P_aa, 0.0)
-            variance += memory.velocity_error[k, plan.robots + o] + OBJECT_FLOOR * OBJECT_FLOOR
-            hit.gained_variance = variance + (MODEL_ERROR * hit.contact.approach) ** 2
+            variance += (
+                memory.velocity_error[k, plan.robots + o]
+                + options.impact_parameters.object_floor * options.impact_parameters.object_floor
+            )
+            hit.gained_variance = variance + (options.impact_parameters.model_error * hit.contact.approach) ** 2
             hit.learned_at, seen = now, True
     if seen:
-        relearn_pairs(memory, k)
+        relearn_pairs(memory, options, k)
 
 
 @compiled
-def find_due(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> int:
+def find_due(plan: PlanTable, memory: WorldMemory, options: Options, k: int, now: float) -> int:
     """Return the object whose coming impact's correction is to be decided now, or NO_OBJECT."""
     for o in range(len(plan.first)):
         strike = memory.strike[k, o]
-        due = max(strike.time - DECISION_LEAD, strike.last_contact + DECISION_SETTLE)
+        due = max(strike.time - options.timing.decision_lead, strike.last_contact + options.timing.decision_settle)
         if not strike.is_decided and strike.index != NO_IMPACT and now >= due - ROUND_OFF:
             return o
     return NO_OBJECT

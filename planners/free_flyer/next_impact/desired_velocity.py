@@ -11,15 +11,6 @@ from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.next_impact.reachability import compute_arrival
 
-SHORTEST_LEG = 5.0  # a delayed impact does not make the object faster than for a leg of this duration [s]
-# The last impact brings the object to its end if as much time is left [s], otherwise only deep enough into its goal.
-FULL_CORRECTION = 15.0
-DEEP_ENOUGH = 0.65  # of the plan's margin
-BEND = 0.25  # from the straight way that a drifting object may fly, at most half the next knot's depth [m]
-CRUISE = 0.15  # speed at which any leg can be flown [m/s]
-SHARES, SMALLEST = 20, 1e-3  # of the way to the plan's end that are tried, and the preference for a short way [m]
-SAME_SIDE = 0.3  # cosine by which an impulse may turn from the planned normal, beyond which its robot had to go round
-OTHER_SIDE = 1.0  # how much less a way to the plan's end is worth for that [m]
 ROUND_OFF = 1e-6  # of times [s]
 
 
@@ -84,22 +75,22 @@ def choose_desired_velocity(
     x, y, _, _ = extrapolate_flight(memory, k, body, time)
     knot, due, last = find_next_knot(plan, memory, k, o, strike.is_inserted)
     target_x, target_y = memory.place[k, knot, 0], memory.place[k, knot, 1]
-    duration = max(due - time, SHORTEST_LEG if last else 2.0)
+    duration = max(due - time, options.aim.shortest_leg if last else 2.0)
     limit = plan.body[body].speed_limit
     if not last or not options.insert or plan.knot[knot].faces == 0:
         return compute_desired_velocity(x, y, target_x, target_y, duration, z.drift[0], z.drift[1], limit)
     # The depth that is enough grows with the time that is left, up to the plan's.
-    extra = min(max(duration / FULL_CORRECTION - 0.5, 0.0) * 2.0, 1.0)
-    enough = (DEEP_ENOUGH + (1.0 - DEEP_ENOUGH) * extra) * plan.knot[knot].depth
+    extra = min(max(duration / options.aim.full_correction - 0.5, 0.0) * 2.0, 1.0)
+    enough = (options.aim.deep_enough + (1.0 - options.aim.deep_enough) * extra) * plan.knot[knot].depth
     best, chosen = -math.inf, 1.0
-    for i in range(SHARES + 1):
-        share = i / SHARES
+    for i in range(options.aim.shares + 1):
+        share = i / options.aim.shares
         end_x, end_y = x + share * (target_x - x), y + share * (target_y - y)
         wish_x, wish_y = compute_desired_velocity(x, y, end_x, end_y, duration, z.drift[0], z.drift[1], limit)
         room = compute_room(plan, memory, k, o, strike.robot, time, wish_x, wish_y)
-        score = min(compute_margin(plan, knot, end_x, end_y), enough, room) - SMALLEST * share
-        if compute_turn(plan, memory, k, o, wish_x, wish_y) < SAME_SIDE:
-            score -= OTHER_SIDE
+        score = min(compute_margin(plan, knot, end_x, end_y), enough, room) - options.aim.smallest * share
+        if compute_turn(plan, memory, k, o, wish_x, wish_y) < options.aim.same_side:
+            score -= options.aim.other_side
         if score > best:
             best, chosen = score, share
     end_x, end_y = x + chosen * (target_x - x), y + chosen * (target_y - y)
@@ -135,7 +126,7 @@ def compute_room(
 
 
 @compiled
-def hasten_next_knot(plan: PlanTable, memory: WorldMemory, k: int, o: int) -> None:
+def hasten_next_knot(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int) -> None:
     """Expect the next knot of object o earlier, if the drift would bend its way there too far.
 
     A flight of duration L against an acceleration a that it compensates leaves the straight way by a L^2 / 8.
@@ -143,20 +134,22 @@ def hasten_next_knot(plan: PlanTable, memory: WorldMemory, k: int, o: int) -> No
     strike, z = memory.strike[k, o], memory.filter[k, plan.robots + o]
     knot, due, last = find_next_knot(plan, memory, k, o, strike.is_inserted)
     drift = math.hypot(z.drift[0], z.drift[1])
-    bend = min(BEND, 0.5 * plan.knot[knot].depth)
+    bend = min(options.aim.bend, 0.5 * plan.knot[knot].depth)
     if last or drift * (due - strike.time) ** 2 <= 8.0 * bend:
         return
     x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, strike.time)
     way = math.hypot(memory.place[k, knot, 0] - x, memory.place[k, knot, 1] - y)
-    sooner = strike.time + max(math.sqrt(8.0 * bend / drift), way / CRUISE)
-    sooner = max(sooner, plan.knot[knot].opens, compute_arrival(plan, memory, k, knot))
+    sooner = strike.time + max(math.sqrt(8.0 * bend / drift), way / options.aim.cruise)
+    sooner = max(sooner, plan.knot[knot].opens, compute_arrival(plan, memory, options, k, knot))
     memory.clock[k, knot] = min(sooner, due)
 
 
 @compiled
-def find_share(plan: PlanTable, knot: int, x: float, y: float, target_x: float, target_y: float) -> float:
+def find_share(
+    plan: PlanTable, options: Options, knot: int, x: float, y: float, target_x: float, target_y: float
+) -> float:
     """Return the share of the way from a position to a target after which it is deep enough inside a knot's faces."""
-    share, deep = 0.0, DEEP_ENOUGH * plan.knot[knot].depth
+    share, deep = 0.0, options.aim.deep_enough * plan.knot[knot].depth
     for i in range(plan.knot[knot].faces):
         face = plan.face[knot, i]
         hx, hy, b = face.normal[0], face.normal[1], face.offset

@@ -6,18 +6,18 @@ import math
 
 from impact_envs.compiled import compiled
 from planners.free_flyer.belief.estimator import extrapolate_flight
+from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT
 
-EASE = 0.75  # of the thrust
 QUINTIC = 5.7735  # greatest acceleration of a rest-to-rest quintic over d / T^2
 
 
 @compiled
-def compute_time(plan: PlanTable, r: int, d: float) -> float:
+def compute_time(plan: PlanTable, options: Options, r: int, d: float) -> float:
     """Return the time that robot r needs for a way from rest to rest by a quintic [s]: sqrt(5.77 d / a)."""
-    return math.sqrt(QUINTIC * d / (EASE * plan.pilot[r, GAIN] * plan.pilot[r, INPUT_LIMIT]))
+    return math.sqrt(QUINTIC * d / (options.reach.ease * plan.pilot[r, GAIN] * plan.pilot[r, INPUT_LIMIT]))
 
 
 @compiled
@@ -30,7 +30,7 @@ def find_contact(plan: PlanTable, memory: WorldMemory, k: int, index: int) -> tu
 
 
 @compiled
-def compute_arrival(plan: PlanTable, memory: WorldMemory, k: int, index: int) -> float:
+def compute_arrival(plan: PlanTable, memory: WorldMemory, options: Options, k: int, index: int) -> float:
     """Return when the robot of a planned impact can be there after its earlier impacts; 0 if it has none."""
     r, arrival = plan.impact[index].robot, 0.0
     x, y = find_contact(plan, memory, k, index)
@@ -39,19 +39,28 @@ def compute_arrival(plan: PlanTable, memory: WorldMemory, k: int, index: int) ->
         at, time = strike.index, strike.time
         if strike.is_inserted and strike.robot == r:
             ox, oy, _, _ = extrapolate_flight(memory, k, plan.robots + o, time)
-            arrival = max(arrival, time + compute_time(plan, r, math.hypot(x - ox, y - oy)))
+            arrival = max(arrival, time + compute_time(plan, options, r, math.hypot(x - ox, y - oy)))
         while at != NO_IMPACT and at != index:
             time = memory.clock[k, at]
             if plan.impact[at].robot == r and time < memory.clock[k, index]:
                 ox, oy = find_contact(plan, memory, k, at)
-                arrival = max(arrival, time + compute_time(plan, r, math.hypot(x - ox, y - oy)))
+                arrival = max(arrival, time + compute_time(plan, options, r, math.hypot(x - ox, y - oy)))
             at = plan.impact[at].next
     return arrival
 
 
 @compiled
 def is_reachable(
-    plan: PlanTable, memory: WorldMemory, k: int, r: int, x: float, y: float, vx: float, vy: float, span: float
+    plan: PlanTable,
+    memory: WorldMemory,
+    options: Options,
+    k: int,
+    r: int,
+    x: float,
+    y: float,
+    vx: float,
+    vy: float,
+    span: float,
 ) -> bool:
     r"""Return whether robot r can be at a position with a velocity after a time by a quintic, within its thrust.
 
@@ -66,4 +75,4 @@ def is_reachable(
         way = (60.0 * tau - 180.0 * tau * tau + 120.0 * tau * tau * tau) / (span * span)
         turn = 6.0 * tau * (1.0 - tau) / span
         most = max(most, math.hypot(way * dx + turn * (vx - vx_0), way * dy + turn * (vy - vy_0)))
-    return most <= EASE * pilot[GAIN] * pilot[INPUT_LIMIT]
+    return most <= options.reach.ease * pilot[GAIN] * pilot[INPUT_LIMIT]

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from impact_envs.compiled import compiled
 from planners.free_flyer.belief.estimator import extrapolate_flight
+from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.next_impact.projection import FOUND, project_point
@@ -29,18 +30,7 @@ from planners.free_flyer.next_impact.rest_qp import (
     put_time,
     put_variable,
 )
-from planners.free_flyer.next_impact.retiming import RESERVE, RESERVE_SHARE
 
-SCALE_RHO = 0.1  # s_rho [m]
-SCALE_PLACE = 0.3  # s_P [m]
-SCALE_TIME = 10.0  # s_t [s]
-NOTICE = 4.0  # from now to the next impact [s]
-GAP = 4.0  # between impacts of one object [s]
-SHARE = 0.6  # of an object's greatest speed that legs may need
-WIDEST = math.tan(math.pi / 3)  # of the cone round the planned normal that legs before and after an impact fill
-SHORTEST_WAY = 0.05  # of a robot, for the linearisation of its time [m]
-SHORTEST_LEG = 0.05  # of an object, that has a direction [m]
-INSET = 0.25  # from both ends of a window [s]
 NO_STAGE = -1
 
 
@@ -67,7 +57,9 @@ class Way(NamedTuple):
 
 
 @compiled
-def reoptimise_rest(plan: PlanTable, memory: WorldMemory, qp: RestQP, c: int, k: int, o: int, now: float) -> bool:
+def reoptimise_rest(
+    plan: PlanTable, memory: WorldMemory, options: Options, qp: RestQP, c: int, k: int, o: int, now: float
+) -> bool:
     """Optimise the places and times of object o's impacts that are left; return whether a feasible point exists.
 
     Args:
@@ -79,11 +71,11 @@ def reoptimise_rest(plan: PlanTable, memory: WorldMemory, qp: RestQP, c: int, k:
     size = 3 * stages + 1
     rows, bounds, used = qp.rows[c], qp.bounds[c], qp.used[c : c + 1]
     rest = Rest(stages, qp.chain[c], qp.line[c], qp.centre[c], qp.scale[c], rows, bounds, used)
-    _set_references(plan, memory, rest, k, o)
+    _set_references(plan, memory, options, rest, k, o)
     _add_demands(plan, rest)
-    _add_order(plan, memory, rest, k, now)
-    _add_flights(plan, rest, plan.body[plan.robots + o].speed_limit)
-    _add_robots(plan, memory, rest, k, o, now)
+    _add_order(plan, memory, options, rest, k, now)
+    _add_flights(plan, options, rest, plan.body[plan.robots + o].speed_limit)
+    _add_robots(plan, memory, options, rest, k, o, now)
     point = qp.point[c, :size]
     for i in range(size):
         point[i] = 0.0
@@ -114,20 +106,20 @@ def _find_chain(plan: PlanTable, memory: WorldMemory, qp: RestQP, c: int, k: int
 
 
 @compiled
-def _set_references(plan: PlanTable, memory: WorldMemory, rest: Rest, k: int, o: int) -> None:
+def _set_references(plan: PlanTable, memory: WorldMemory, options: Options, rest: Rest, k: int, o: int) -> None:
     """Set the centres and scales of the cost: of the times, of all places but the first, of rho."""
     depth, stages = math.inf, rest.stages
     for i in range(stages + 1):
         knot = rest.chain[i]
         depth = min(depth, plan.knot[knot].depth)
         if i < stages:
-            rest.centre[i], rest.scale[i] = memory.clock[k, knot], SCALE_TIME
+            rest.centre[i], rest.scale[i] = memory.clock[k, knot], options.reoptimisation.scale_time
         if i > 0:
             for axis in range(2):
                 v = stages + 2 * (i - 1) + axis
-                rest.centre[v], rest.scale[v] = plan.knot[knot].position[axis], SCALE_PLACE
+                rest.centre[v], rest.scale[v] = plan.knot[knot].position[axis], options.reoptimisation.scale_place
     rho = 3 * stages
-    rest.centre[rho], rest.scale[rho] = (depth if depth < math.inf else 0.0), SCALE_RHO
+    rest.centre[rho], rest.scale[rho] = (depth if depth < math.inf else 0.0), options.reoptimisation.scale_rho
     # The object's flight to its next impact, as a line about the time at which that is expected.
     first = rest.chain[0]
     time, line = memory.clock[k, first], rest.line
@@ -136,9 +128,11 @@ def _set_references(plan: PlanTable, memory: WorldMemory, rest: Rest, k: int, o:
     line.velocity[0], line.velocity[1] = vx, vy
     # Its first place is no variable: the cost of that place acts on its time.
     dx, dy = plan.knot[first].position[0] - x, plan.knot[first].position[1] - y
-    there = (vx * vx + vy * vy) / (SCALE_PLACE * SCALE_PLACE)
-    weight = there + 1.0 / (SCALE_TIME * SCALE_TIME)
-    rest.centre[0] = time + (vx * dx + vy * dy) / (SCALE_PLACE * SCALE_PLACE) / weight
+    there = (vx * vx + vy * vy) / (options.reoptimisation.scale_place * options.reoptimisation.scale_place)
+    weight = there + 1.0 / (options.reoptimisation.scale_time * options.reoptimisation.scale_time)
+    rest.centre[0] = (
+        time + (vx * dx + vy * dy) / (options.reoptimisation.scale_place * options.reoptimisation.scale_place) / weight
+    )
     rest.scale[0] = 1.0 / math.sqrt(weight)
 
 
@@ -155,30 +149,37 @@ def _add_demands(plan: PlanTable, rest: Rest) -> None:
 
 
 @compiled
-def _add_order(plan: PlanTable, memory: WorldMemory, rest: Rest, k: int, now: float) -> None:
+def _add_order(plan: PlanTable, memory: WorldMemory, options: Options, rest: Rest, k: int, now: float) -> None:
     """Add the windows, the order, and time at both ends."""
     for i in range(rest.stages):
         knot = rest.chain[i]
         opens, closes = plan.knot[knot].opens, plan.knot[knot].closes
-        inset = min(INSET, (closes - opens) / 4)
+        inset = min(options.reoptimisation.inset, (closes - opens) / 4)
         # Never later than the impact was expected, if that is later than the reserve allows.
-        latest = max(plan.horizon - max(RESERVE, RESERVE_SHARE * plan.horizon), memory.clock[k, knot])
+        latest = max(
+            plan.horizon - max(options.retiming.reserve, options.retiming.reserve_share * plan.horizon),
+            memory.clock[k, knot],
+        )
         row = open_row(rest, min(closes - inset, latest))
         put_time(rest, row, i, 1.0)
-        earliest = max(opens + inset, min(now + NOTICE, memory.clock[k, knot])) if i == 0 else opens + inset
+        earliest = (
+            max(opens + inset, min(now + options.reoptimisation.notice, memory.clock[k, knot]))
+            if i == 0
+            else opens + inset
+        )
         row = open_row(rest, -earliest)
         put_time(rest, row, i, -1.0)
         if i > 0:
             planned = plan.impact[knot].time - plan.impact[rest.chain[i - 1]].time
-            row = open_row(rest, -min(GAP, planned))
+            row = open_row(rest, -min(options.reoptimisation.gap, planned))
             put_time(rest, row, i - 1, 1.0)
             put_time(rest, row, i, -1.0)
 
 
 @compiled
-def _add_flights(plan: PlanTable, rest: Rest, limit: float) -> None:
+def _add_flights(plan: PlanTable, options: Options, rest: Rest, limit: float) -> None:
     """Add the object's speed limit, and cones round the planned normals for the legs before and after an impact."""
-    fastest = SHARE * limit
+    fastest = options.reoptimisation.share * limit
     for i in range(rest.stages):
         here, there = rest.chain[i], rest.chain[i + 1]
         for axis in range(2):
@@ -192,29 +193,34 @@ def _add_flights(plan: PlanTable, rest: Rest, limit: float) -> None:
                 put_time(rest, row, i, fastest)
         dx = plan.knot[there].position[0] - plan.knot[here].position[0]
         dy = plan.knot[there].position[1] - plan.knot[here].position[1]
-        if math.hypot(dx, dy) < SHORTEST_LEG:
+        if math.hypot(dx, dy) < options.reoptimisation.shortest_leg:
             continue
-        _add_cone(plan, rest, i, here, 1.0, dx, dy)
+        _add_cone(plan, options, rest, i, here, 1.0, dx, dy)
         if i + 1 < rest.stages:
-            _add_cone(plan, rest, i, there, -1.0, -dx, -dy)
+            _add_cone(plan, options, rest, i, there, -1.0, -dx, -dy)
 
 
 @compiled
-def _add_cone(plan: PlanTable, rest: Rest, i: int, knot: int, sign: float, dx: float, dy: float) -> None:
+def _add_cone(
+    plan: PlanTable, options: Options, rest: Rest, i: int, knot: int, sign: float, dx: float, dy: float
+) -> None:
     """Add the cone of an impact for leg i, or for the way back along it, unless the plan itself leaves it."""
     nx, ny = plan.impact[knot].normal[0], plan.impact[knot].normal[1]
-    if abs(-ny * dx + nx * dy) > WIDEST * (nx * dx + ny * dy):
+    if abs(-ny * dx + nx * dy) > options.reoptimisation.widest * (nx * dx + ny * dy):
         return
     for side in range(2):
         turn = 1.0 - 2.0 * side
-        x, y = sign * (-turn * ny - WIDEST * nx), sign * (turn * nx - WIDEST * ny)
+        x, y = (
+            sign * (-turn * ny - options.reoptimisation.widest * nx),
+            sign * (turn * nx - options.reoptimisation.widest * ny),
+        )
         row = open_row(rest, 0.0)
         put_place(rest, row, i + 1, x, y)
         put_place(rest, row, i, -x, -y)
 
 
 @compiled
-def _add_robots(plan: PlanTable, memory: WorldMemory, rest: Rest, k: int, o: int, now: float) -> None:
+def _add_robots(plan: PlanTable, memory: WorldMemory, options: Options, rest: Rest, k: int, o: int, now: float) -> None:
     """Add the time that every robot needs to come to an impact from where it is or has to be, at most the plan's."""
     for i in range(rest.stages):
         knot, before = rest.chain[i], NO_STAGE
@@ -227,13 +233,13 @@ def _add_robots(plan: PlanTable, memory: WorldMemory, rest: Rest, k: int, o: int
         if before == NO_STAGE:
             z = memory.filter[k, r]
             vector = (cx - z.position[0], cy - z.position[1])
-            _add_way(plan, rest, Way(r, i, (x, y), vector, now, 1.0, math.inf))
+            _add_way(plan, options, rest, Way(r, i, (x, y), vector, now, 1.0, math.inf))
         else:
             at = rest.chain[before]
             ox, oy = _find_place(plan, memory, k, o, at, before == 0)
             ox, oy = _find_contact(plan, r, o, at, ox, oy)
             planned = plan.impact[knot].time - plan.impact[at].time
-            row = _add_way(plan, rest, Way(r, i, (x, y), (cx - ox, cy - oy), 0.0, 1.0, planned))
+            row = _add_way(plan, options, rest, Way(r, i, (x, y), (cx - ox, cy - oy), 0.0, 1.0, planned))
             put_time(rest, row, before, 1.0)
         for other in range(len(plan.first)):
             at = memory.strike[k, other].index
@@ -243,18 +249,18 @@ def _add_robots(plan: PlanTable, memory: WorldMemory, rest: Rest, k: int, o: int
                     ox, oy = _find_contact(plan, r, other, at, ox, oy)
                     time, planned = memory.clock[k, at], abs(plan.impact[knot].time - plan.impact[at].time)
                     sign = 1.0 if memory.clock[k, knot] >= time else -1.0
-                    _add_way(plan, rest, Way(r, i, (x, y), (cx - ox, cy - oy), time, sign, planned))
+                    _add_way(plan, options, rest, Way(r, i, (x, y), (cx - ox, cy - oy), time, sign, planned))
                 at = plan.impact[at].next
 
 
 @compiled
-def _add_way(plan: PlanTable, rest: Rest, way: Way) -> int:
+def _add_way(plan: PlanTable, options: Options, rest: Rest, way: Way) -> int:
     """Add the time that a robot needs for a way, sign (t_i - time) >= tau(|way|); return the row.
 
     tau is concave in the length of the way, so that its tangent at the way expected now is on the safe side.
     """
-    d = max(math.hypot(way.vector[0], way.vector[1]), SHORTEST_WAY)
-    tau = min(compute_time(plan, way.robot, d), way.longest)
+    d = max(math.hypot(way.vector[0], way.vector[1]), options.reoptimisation.shortest_way)
+    tau = min(compute_time(plan, options, way.robot, d), way.longest)
     slope = tau / (2.0 * d) if tau < way.longest else 0.0
     ux, uy = slope * way.vector[0] / d, slope * way.vector[1] / d
     row = open_row(rest, ux * way.here[0] + uy * way.here[1] - tau - way.sign * way.time)

@@ -16,14 +16,6 @@ from planners.free_flyer.next_impact.reachability import is_reachable
 from planners.free_flyer.next_impact.two_body import solve_two_body_impact
 from planners.free_flyer.tracking.course import evaluate_course, plan_approach
 
-CENTRAL = 0.966  # cosine by which an impulse may turn to go through the centre of an object that is no disc
-POSTPONEMENTS = 10  # of a second each
-STEADY_WAY = 0.03  # of a robot towards the object, that it goes at constant speed before it hits it [m],
-STEADY, QUICK = 1.5, 0.3  # for no longer than this, and not if that is done as quickly [s]
-OFF_COURSE = 0.1  # tracking error above which a course starts from the estimated state [m]
-SCALE_RANGE = 0.5  # of the logarithm of the impulse, at correction 1
-ROTATION_RANGE = 0.3  # of the impulse, at correction 1 [rad]
-
 
 @compiled
 def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> None:
@@ -32,12 +24,12 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     time = strike.time
     x, y, vx, vy = extrapolate_flight(memory, k, body, time)
     if options.drift:
-        hasten_next_knot(plan, memory, k, o)
+        hasten_next_knot(plan, memory, options, k, o)
     wish = choose_desired_velocity(plan, memory, options, k, o)
-    scale, angle = math.exp(SCALE_RANGE * strike.scale), ROTATION_RANGE * strike.turn
+    scale, angle = math.exp(options.aim.scale_range * strike.scale), options.aim.rotation_range * strike.turn
     cos, sin, dx, dy = math.cos(angle), math.sin(angle), wish[0] - vx, wish[1] - vy
     dx, dy = scale * (cos * dx - sin * dy), scale * (sin * dx + cos * dy)
-    dx, dy, distance = turn_to_centre(plan, memory, k, o, time - now, dx, dy)
+    dx, dy, distance = turn_to_centre(plan, memory, options, k, o, time - now, dx, dy)
     desired = (vx + dx, vy + dy)
     normal = (strike.reference_normal[0], strike.reference_normal[1])
     restitution, ratio = get_pair(memory, k, r, o)
@@ -69,7 +61,7 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     solve_strike(plan, memory, options, k, r, o, now)
     begin = evaluate_course(memory.course[k, r], plan.breaks, plan.coefficients, r, now)
     z = memory.filter[k, r]
-    if math.hypot(begin[0] - z.position[0], begin[1] - z.position[1]) > OFF_COURSE:
+    if math.hypot(begin[0] - z.position[0], begin[1] - z.position[1]) > options.replanning.off_course:
         memory.counts[k].lost += 1
         begin = (z.position[0], z.position[1], z.velocity[0], z.velocity[1], begin[4], begin[5])
         if options.retime:
@@ -79,7 +71,11 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     vx, vy = strike.robot_minus[0], strike.robot_minus[1]
     # The slower robot and object meet, the more a small error of position shifts the time: then come at constant speed.
     slow = max(math.hypot(vx - strike.object_minus[0], vy - strike.object_minus[1]), ROUND_OFF)
-    steady = min(max(STEADY_WAY / slow - QUICK, 0.0), STEADY, (strike.time - now) / 4)
+    steady = min(
+        max(options.replanning.steady_way / slow - options.replanning.quick, 0.0),
+        options.replanning.steady,
+        (strike.time - now) / 4,
+    )
     plan_approach(
         memory.course[k, r],
         plan.breaks,
@@ -100,10 +96,10 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
 def postpone_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> None:
     """Postpone the impact of robot r on object o until the robot can be there, by at most 10 s."""
     strike = memory.strike[k, o]
-    for _ in range(POSTPONEMENTS):
+    for _ in range(options.replanning.postponements):
         x, y, vx, vy = strike.contact[0], strike.contact[1], strike.robot_minus[0], strike.robot_minus[1]
         later = strike.time + 1.0
-        if later >= plan.horizon or is_reachable(plan, memory, k, r, x, y, vx, vy, strike.time - now):
+        if later >= plan.horizon or is_reachable(plan, memory, options, k, r, x, y, vx, vy, strike.time - now):
             return
         if strike.is_inserted:
             strike.time = later
@@ -114,7 +110,7 @@ def postpone_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: i
 
 @compiled
 def turn_to_centre(
-    plan: PlanTable, memory: WorldMemory, k: int, o: int, ahead: float, dx: float, dy: float
+    plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, ahead: float, dx: float, dy: float
 ) -> tuple[float, float, float]:
     """Return the part of a change of velocity that a hit through object o's centre can give, and how far that hit is.
 
@@ -141,7 +137,7 @@ def turn_to_centre(
             best, nx, ny, distance = cosine, px, py, far
     if best == -1.0:
         return dx, dy, distance
-    if best < CENTRAL and size > 1e-9:
+    if best < options.replanning.central and size > 1e-9:
         memory.counts[k].off_centre += 1
     along = max(best, 0.0) * size
     return along * nx, along * ny, distance

@@ -10,13 +10,15 @@ import numpy as np
 from impact_envs import load_scenario
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
-from planners.free_flyer.belief.options import EXPERT, Options
+from planners.free_flyer.belief.options import EXPERT, Options, make_record
 from planners.free_flyer.belief.plan_table import make_plan_table
 from planners.free_flyer.belief.world_memory import NOBODY, make_world_memory
 from planners.free_flyer.closed_loop.world_loop import look_ahead, start_world
 from planners.free_flyer.next_impact.bookkeeping import take_contact
 from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.plan import Plan, PlannedImpact
+
+OPTIONS = make_record(EXPERT)[0]
 
 K = 1  # the world that is played, of three
 Hit = tuple[float, str, str, tuple[float, float]]  # time, robot, object, place
@@ -122,7 +124,7 @@ class World:
     def __init__(self, scenario: FreeFlyerScenario, plan: Plan, options: Options = EXPERT) -> None:
         self.options, self.table = options, make_plan_table(scenario.as_believed(), plan)
         self.memory, self.qp = make_world_memory(self.table, 3), make_rest_qp(3)
-        start_world(self.table, self.memory, options, K)
+        start_world(self.table, self.memory, make_record(options)[0], K)
         self.strike, self.hit, self.course = self.memory.strike[K], self.memory.hit[K], self.memory.course[K]
         self.clock, self.place = self.memory.clock[K, : len(plan.impacts)], self.memory.place[K]
 
@@ -137,9 +139,9 @@ class World:
         """Let a robot feel a contact."""
         self.memory.touch[K] = NOBODY
         self.memory.touch[K, robot] = body
-        take_contact(self.table, self.memory, K, robot, now)
+        take_contact(self.table, self.memory, OPTIONS, K, robot, now)
 
     def look(self, now: float) -> None:
         """Look ahead in thread 1."""
         self.memory.time[K] = now
-        look_ahead(self.table, self.memory, self.options, self.qp, 1, K, now)
+        look_ahead(self.table, self.memory, make_record(self.options)[0], self.qp, 1, K, now)

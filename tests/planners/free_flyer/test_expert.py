@@ -17,15 +17,16 @@ from impact_envs.rollout import Episode
 from planners import list_variants, make_expert
 from planners.bezier import Curve
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain
-from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options
+from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options, make_record
 from planners.free_flyer.expert import FreeFlyerExpert
-from planners.free_flyer.next_impact.desired_velocity import DEEP_ENOUGH
 from planners.free_flyer.tracking.box_qp import NEWTON_STEPS
 from planners.free_flyer.tracking.mpc import STAGES
 from planners.plan import Plan, PlannedImpact
 from tests.frozen.freeze import get_plan
 from tests.planners.free_flyer import plans
 from tests.planners.free_flyer.plans import load
+
+OPTIONS = make_record(EXPERT)[0]
 
 SEED = 1_000_000
 
@@ -301,7 +302,7 @@ def test_object_that_is_not_where_expected_is_found_and_caught(scenario: FreeFly
     assert fallbacks == {}
     assert [(i.a, i.b) for i in impacts] == [(i.robot, i.object) for i in plan.impacts]
     assert impacts[1].time > catch.time + 1.0
-    blind = FreeFlyerExpert(scenario, plan, options=EXPERT._replace(retime=False))
+    blind = FreeFlyerExpert(scenario, plan, options=replace(EXPERT, retime=False))
     assert play(scenario, blind, disturb=shove)[1][1].time < impacts[1].time
 
 
@@ -354,7 +355,7 @@ def test_solver_out_of_steps_falls_back_and_still_succeeds(scenario: FreeFlyerSc
 
 def test_fallbacks_in_their_order(scenario: FreeFlyerScenario, plan: Plan) -> None:
     """After a solved step nine inputs are left of its plan; then it is LQR."""
-    expert, env = FreeFlyerExpert(scenario, plan, options=EXPERT._replace(avoid=False)), parallel_env(scenario)
+    expert, env = FreeFlyerExpert(scenario, plan, options=replace(EXPERT, avoid=False)), parallel_env(scenario)
     observations, _ = env.reset(seed=SEED)
     expert.reset(SEED)
     expert.act(observations)
@@ -451,7 +452,7 @@ def test_published_code_replans_each_impact_once(scenario: FreeFlyerScenario, pl
 
 
 def test_lqr_tracks_without_counting_as_a_fallback(scenario: FreeFlyerScenario, plan: Plan) -> None:
-    expert = FreeFlyerExpert(scenario, plan, options=EXPERT._replace(tracker="lqr"))
+    expert = FreeFlyerExpert(scenario, plan, options=replace(EXPERT, tracker="lqr"))
     success, _, fallbacks = play(scenario, expert)
     assert success
     assert fallbacks == {}
@@ -484,7 +485,7 @@ def test_several_objects_and_a_robot_without_impacts() -> None:
     ends = {name: [episode.signals[f"{name}.{axis}"][-1] for axis in "xy"] for name in scenario.objects}
     # Where the formula says nothing the object ends as planned; where it does, deep enough: 0.1 m are planned.
     np.testing.assert_allclose(ends["two"], plan.objects["two"].position(plan.horizon, "left"), atol=0.01)
-    assert 1.6 + DEEP_ENOUGH * 0.1 <= ends["one"][0] + 1e-3 < 1.71
+    assert 1.6 + EXPERT.aim.deep_enough * 0.1 <= ends["one"][0] + 1e-3 < 1.71
     still = [np.ptp(episode.signals[f"idle.{axis}"]) for axis in "xy"]
     assert max(still) < 1e-9
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -154,11 +155,11 @@ def test_variants_and_options_are_those_of_the_single_expert() -> None:
     joint, _ = vector.reset(seed=SEED)
     batches = [
         FreeFlyerExpertBatch(world, plan, 1, "paper_expert"),
-        FreeFlyerExpertBatch(world, plan, 1, options=EXPERT._replace(tracker="lqr")),
+        FreeFlyerExpertBatch(world, plan, 1, options=replace(EXPERT, tracker="lqr")),
     ]
     singles = [
         FreeFlyerExpert(world, plan, "paper_expert"),
-        FreeFlyerExpert(world, plan, options=EXPERT._replace(tracker="lqr")),
+        FreeFlyerExpert(world, plan, options=replace(EXPERT, tracker="lqr")),
     ]
     env = parallel_env(world)
     seen = env.reset(seed=SEED)[0]

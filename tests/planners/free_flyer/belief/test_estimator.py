@@ -17,10 +17,12 @@ from planners.free_flyer.belief.estimator import (
     update_estimates,
 )
 from planners.free_flyer.belief.impact_parameters import NOW, find_row, start_pairs
-from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options
+from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options, make_record
 from planners.free_flyer.belief.plan_table import make_plan_table
 from planners.free_flyer.belief.world_memory import BLANK_FILTER, FILTER, NOBODY, UNKNOWN, make_world_memory
 from tests.planners.free_flyer.plans import load, make_plan
+
+OPTIONS = make_record(EXPERT)[0]
 
 PERIOD = 0.1
 SNAP, CRACKLE, POP = range(3)
@@ -80,15 +82,15 @@ class Estimator:
     def __init__(self, scenario: FreeFlyerScenario, options: Options = EXPERT) -> None:
         self.table = make_plan_table(scenario, make_plan(scenario))
         self.memory = make_world_memory(self.table, 3)
-        open_filters(self.table, self.memory, options, 1)
-        start_pairs(self.table, self.memory, 1)
+        open_filters(self.table, self.memory, make_record(options)[0], 1)
+        start_pairs(self.table, self.memory, OPTIONS, 1)
 
     def update(self, measured: np.ndarray, world: World) -> int:
         """Take in a sample; return what snap touched."""
         self.memory.push[1] = world.push
         joint = np.full((3, measured.shape[1]), np.nan)
         joint[1] = measured
-        update_estimates(self.table, self.memory, 1, joint, world.time)
+        update_estimates(self.table, self.memory, OPTIONS, 1, joint, world.time)
         assert (self.memory.filter[::2] == BLANK_FILTER).all()  # other worlds are left alone
         assert self.memory.touch[1, CRACKLE] == NOBODY
         return int(self.memory.touch[1, SNAP])

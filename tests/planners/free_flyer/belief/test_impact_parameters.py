@@ -11,13 +11,8 @@ from impact_envs import parallel_env, vector_env
 from planners import make_plan
 from planners.free_flyer.belief.impact_parameters import (
     KNOWN,
-    MASS_SPREAD,
     NOW,
-    RECOIL_SECONDS,
-    RESTITUTION_SPREAD,
-    THRUST_ERROR,
     UNSEEN,
-    WANDER,
     compute_gain_spread,
     compute_pair_gain,
     find_row,
@@ -28,7 +23,7 @@ from planners.free_flyer.belief.impact_parameters import (
     start_pairs,
     watch_recoil,
 )
-from planners.free_flyer.belief.options import EXPERT
+from planners.free_flyer.belief.options import EXPERT, make_record
 from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import NOBODY, WorldMemory, make_world_memory
 from planners.free_flyer.closed_loop.world_loop import adopt_world
@@ -37,6 +32,9 @@ from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
 from planners.free_flyer.next_impact.replanner import solve_strike
 from tests.planners.free_flyer import plans
 from tests.planners.free_flyer.plans import K, load, set_fields
+
+OPTIONS = make_record(EXPERT)[0]
+PRIOR = EXPERT.impact_parameters
 
 SNAP, CRACKLE = range(2)
 POP, PIP = range(2)
@@ -62,7 +60,7 @@ def table() -> PlanTable:
 @pytest.fixture
 def memory(table: PlanTable) -> WorldMemory:
     made = make_world_memory(table, 3)
-    start_pairs(table, made, K)
+    start_pairs(table, made, OPTIONS, K)
     return made
 
 
@@ -87,7 +85,7 @@ def see(
     hit["gained"], hit["recoil"] = changes
     hit["gained_variance"], hit["recoil_variance"] = after
     set_fields(hit["contact"], approach=s, object_variance=before[0], robot_variance=before[1])
-    relearn_pairs(memory, K)
+    relearn_pairs(memory, OPTIONS, K)
 
 
 def covariance(memory: WorldMemory) -> np.ndarray:
@@ -98,7 +96,7 @@ def test_starts_with_what_is_believed(table: PlanTable, memory: WorldMemory) -> 
     for r, ratio in ((SNAP, 1.0), (CRACKLE, 1 / HEAVY)):
         for o in (POP, PIP):
             assert get_pair(memory, K, r, o) == pytest.approx((0.8, ratio), abs=1e-15)
-    assert compute_gain_spread(memory, K, SNAP, POP) == pytest.approx(0.13, abs=0.005)
+    assert compute_gain_spread(memory, OPTIONS, K, SNAP, POP) == pytest.approx(0.13, abs=0.005)
     assert np.linalg.eigvalsh(covariance(memory)).min() > -1e-15
     assert not memory.pair_mean[::2].any()  # other worlds are left alone
 
@@ -117,9 +115,9 @@ def test_one_exact_hit_tells_restitution_and_masses(memory: WorldMemory, e: floa
 
 
 def test_hit_of_one_robot_makes_the_next_ones_surer(memory: WorldMemory) -> None:
-    before = [compute_gain_spread(memory, K, r, o) for r, o in ((SNAP, POP), (CRACKLE, POP), (SNAP, PIP))]
+    before = [compute_gain_spread(memory, OPTIONS, K, r, o) for r, o in ((SNAP, POP), (CRACKLE, POP), (SNAP, PIP))]
     see(memory, SNAP, POP, 0.1, compute_changes(0.4, 1.2, 0.1), (1e-6, 2e-5), (1e-7, 4e-6))
-    after = [compute_gain_spread(memory, K, r, o) for r, o in ((SNAP, POP), (CRACKLE, POP), (SNAP, PIP))]
+    after = [compute_gain_spread(memory, OPTIONS, K, r, o) for r, o in ((SNAP, POP), (CRACKLE, POP), (SNAP, PIP))]
     assert after[0] < after[1] < 0.5 * before[1]
     assert after[2] < 0.85 * before[2]
 
@@ -139,7 +137,7 @@ def test_what_is_known_never_gets_less_by_a_hit(memory: WorldMemory) -> None:
         memory.hit["is_pending"][K] = False
         assert np.all(np.diag(found) <= variances + 1e-15)
         variances = np.diag(found)
-    assert np.sqrt(variances.max()) < 0.5 * MASS_SPREAD
+    assert np.sqrt(variances.max()) < 0.5 * PRIOR.mass_spread
 
 
 def test_object_alone_tells_the_gain_only(memory: WorldMemory) -> None:
@@ -152,9 +150,9 @@ def test_object_alone_tells_the_gain_only(memory: WorldMemory) -> None:
     assert 1.0 < mu < 1.6 * 1.2
     i = find_row(memory, SNAP, POP)
     ee, bb = covariance(memory)[[i, i + 1], [i, i + 1]]
-    assert 0.3 * RESTITUTION_SPREAD < math.sqrt(ee) < RESTITUTION_SPREAD
-    assert 0.3 * MASS_SPREAD < math.sqrt(bb) < MASS_SPREAD
-    assert compute_gain_spread(memory, K, SNAP, POP) == pytest.approx(WANDER / (1 + e), rel=1e-3)
+    assert 0.3 * PRIOR.restitution_spread < math.sqrt(ee) < PRIOR.restitution_spread
+    assert 0.3 * PRIOR.mass_spread < math.sqrt(bb) < PRIOR.mass_spread
+    assert compute_gain_spread(memory, OPTIONS, K, SNAP, POP) == pytest.approx(PRIOR.wander / (1 + e), rel=1e-3)
 
 
 def test_restitution_stays_between_0_and_1_and_the_mass_explains_the_rest(memory: WorldMemory) -> None:
@@ -189,12 +187,12 @@ def test_errors_are_as_large_as_they_say(
     rng, found = np.random.default_rng(1), []
     sigma = np.sqrt([*before, after[0], min(after[1], 1.0)])
     for _ in range(400):
-        start_pairs(table, memory, K)
-        e, b, s = 0.8 + 0.1 * rng.normal(), MASS_SPREAD * rng.normal(), rng.uniform(0.06, 0.14)
+        start_pairs(table, memory, OPTIONS, K)
+        e, b, s = 0.8 + 0.1 * rng.normal(), PRIOR.mass_spread * rng.normal(), rng.uniform(0.06, 0.14)
         i = find_row(memory, SNAP, POP)
         for version in (NOW, KNOWN):
-            memory.pair_covariance[K, version] *= (0.1 / RESTITUTION_SPREAD) ** 2
-            memory.pair_covariance[K, version, 1::2] *= (RESTITUTION_SPREAD / 0.1) ** 2
+            memory.pair_covariance[K, version] *= (0.1 / PRIOR.restitution_spread) ** 2
+            memory.pair_covariance[K, version, 1::2] *= (PRIOR.restitution_spread / 0.1) ** 2
         change, recoil = compute_changes(e, math.exp(b), s)
         object_before, robot_before, object_after, robot_after = sigma * rng.normal(size=4)
         seen = change + object_after - object_before, recoil + robot_before - robot_after
@@ -210,17 +208,17 @@ def test_errors_are_as_large_as_they_say(
 def test_hits_that_are_observed_at_the_same_time_do_not_forget_each_other(memory: WorldMemory) -> None:
     see(memory, SNAP, POP, 0.1, compute_changes(0.5, 1.2, 0.1), (1e-8, 1e-8))
     see(memory, CRACKLE, PIP, 0.1, compute_changes(0.5, 0.9 / HEAVY, 0.1), (1e-8, 1e-8))
-    settle_hit(memory, K, POP)  # the next contact of pop
-    relearn_pairs(memory, K)
+    settle_hit(memory, OPTIONS, K, POP)  # the next contact of pop
+    relearn_pairs(memory, OPTIONS, K)
     for r, mass in ((SNAP, 1.0), (CRACKLE, HEAVY)):
         assert get_pair(memory, K, r, POP)[1] == pytest.approx(1.2 / mass, rel=1e-3)
         assert get_pair(memory, K, r, PIP)[1] == pytest.approx(0.9 / mass, rel=1e-3)
     assert get_pair(memory, K, CRACKLE, PIP)[0] == pytest.approx(0.5, abs=1e-3)
     i = find_row(memory, SNAP, POP)
-    assert math.sqrt(covariance(memory)[i, i]) == pytest.approx(WANDER, rel=0.1)  # the next hit may differ
-    settle_hit(memory, K, POP)  # only once
-    relearn_pairs(memory, K)
-    assert math.sqrt(covariance(memory)[i, i]) == pytest.approx(WANDER, rel=0.1)
+    assert math.sqrt(covariance(memory)[i, i]) == pytest.approx(PRIOR.wander, rel=0.1)  # the next hit may differ
+    settle_hit(memory, OPTIONS, K, POP)  # only once
+    relearn_pairs(memory, OPTIONS, K)
+    assert math.sqrt(covariance(memory)[i, i]) == pytest.approx(PRIOR.wander, rel=0.1)
 
 
 def test_recoil_is_seen_through_the_thrust_until_the_next_contact(memory: WorldMemory) -> None:
@@ -234,29 +232,29 @@ def test_recoil_is_seen_through_the_thrust_until_the_next_contact(memory: WorldM
         # The hit took 0.07 m/s; what is seen with the large variance is wrong.
         z["velocity"][0] = 0.03 - 0.002 * step + (0.01 if variance == 1e-3 else 0.0)
         z["P_vv"] = variance
-        watch_recoil(memory, K, POP, now)
+        watch_recoil(memory, OPTIONS, K, POP, now)
     assert hit["recoil"] == pytest.approx(0.07)
-    assert 2e-5 < hit["recoil_variance"] < 2e-5 + 5 * THRUST_ERROR**2
+    assert 2e-5 < hit["recoil_variance"] < 2e-5 + 5 * PRIOR.thrust_error**2
     best = hit["recoil_variance"]
     z["P_vv"] = 0.0
     memory.touch[K, SNAP] = CRACKLE
-    watch_recoil(memory, K, POP, 10.4)
+    watch_recoil(memory, OPTIONS, K, POP, 10.4)
     memory.touch[K, SNAP] = NOBODY
-    watch_recoil(memory, K, POP, 10.5)
+    watch_recoil(memory, OPTIONS, K, POP, 10.5)
     assert hit["recoil_variance"] == best
     set_fields(hit, time=10.6, recoil_variance=UNSEEN)
-    watch_recoil(memory, K, POP, 10.6 + 2 * RECOIL_SECONDS)
+    watch_recoil(memory, OPTIONS, K, POP, 10.6 + 2 * PRIOR.recoil_seconds)
     assert hit["recoil_variance"] == UNSEEN  # too late
 
 
 def test_how_exact_the_thrust_is_shows_where_velocities_are_measured(memory: WorldMemory) -> None:
     for _ in range(200):
-        learn_velocity_error(memory, K, SNAP, 2 * 5e-3**2, 1e-8)
-        learn_velocity_error(memory, K, CRACKLE, 2 * 5.0**2, 5.0**2)  # noise only
+        learn_velocity_error(memory, OPTIONS, K, SNAP, 2 * 5e-3**2, 1e-8)
+        learn_velocity_error(memory, OPTIONS, K, CRACKLE, 2 * 5.0**2, 5.0**2)  # noise only
     assert math.sqrt(memory.velocity_error[K, SNAP]) == pytest.approx(5e-3, rel=0.01)
-    assert math.sqrt(memory.velocity_error[K, CRACKLE]) == pytest.approx(THRUST_ERROR, rel=1e-3)
+    assert math.sqrt(memory.velocity_error[K, CRACKLE]) == pytest.approx(PRIOR.thrust_error, rel=1e-3)
     for _ in range(200):
-        learn_velocity_error(memory, K, SNAP, 0.0, 1e-8)
+        learn_velocity_error(memory, OPTIONS, K, SNAP, 0.0, 1e-8)
     assert math.sqrt(memory.velocity_error[K, SNAP]) < 1e-4
 
 
@@ -292,14 +290,14 @@ def test_learner_sees_the_gain_of_the_coming_pair(thrown: FreeFlyerExpert) -> No
     factor, spread = expert.features()[23:25]
     assert factor == pytest.approx(compute_pair_gain(expert.memory, 0, CRACKLE, POP) / 0.9)
     assert factor == pytest.approx(1.45 / 2.25 / 0.9, rel=0.03)
-    assert spread == pytest.approx(factor * compute_gain_spread(expert.memory, 0, CRACKLE, POP))
+    assert spread == pytest.approx(factor * compute_gain_spread(expert.memory, OPTIONS, 0, CRACKLE, POP))
     assert 0.0 < spread < 0.06
 
 
 def test_robot_is_expected_to_recoil_by_the_estimated_masses(thrown: FreeFlyerExpert) -> None:
     expert = thrown
     now = expert.memory.time[0]
-    solve_strike(expert.table, expert.memory, EXPERT, 0, CRACKLE, POP, now)
+    solve_strike(expert.table, expert.memory, OPTIONS, 0, CRACKLE, POP, now)
     strike = expert.memory.strike[0, POP]
     recoil = strike["robot_minus"] - strike["robot_plus"]
     ratio = expert.estimates()["crackle", "pop"].mass_ratio
@@ -308,14 +306,14 @@ def test_robot_is_expected_to_recoil_by_the_estimated_masses(thrown: FreeFlyerEx
 
 def test_new_plan_keeps_what_was_learned(thrown: FreeFlyerExpert) -> None:
     known = thrown.estimates()["snap", "pop"]
-    assert known.restitution_spread < RESTITUTION_SPREAD
-    adopt_world(thrown.table, thrown.memory, 0)
+    assert known.restitution_spread < PRIOR.restitution_spread
+    adopt_world(thrown.table, thrown.memory, OPTIONS, 0)
     assert thrown.estimates()["snap", "pop"] == known
 
 
 def test_new_episode_forgets(thrown: FreeFlyerExpert) -> None:
     thrown.reset(0)
-    assert thrown.estimates()["snap", "pop"] == pytest.approx((0.8, 1.0, RESTITUTION_SPREAD, MASS_SPREAD))
+    assert thrown.estimates()["snap", "pop"] == pytest.approx((0.8, 1.0, PRIOR.restitution_spread, PRIOR.mass_spread))
 
 
 def test_estimates_under_noise_are_as_good_as_they_say() -> None:
@@ -331,7 +329,7 @@ def test_estimates_under_noise_are_as_good_as_they_say() -> None:
     found = batch.memory.pair_mean[:, NOW, i : i + 2] - [0.6, math.log(1.2)]
     spread = np.sqrt(batch.memory.pair_covariance[:, NOW, [i, i + 1], [i, i + 1]])
     assert np.all(np.abs(found.mean(axis=0)) < [0.6 * 0.2, 0.6 * math.log(1.2)])  # of what was believed wrongly
-    assert np.all(np.median(spread, axis=0) < [0.6 * RESTITUTION_SPREAD, 0.75 * MASS_SPREAD])
+    assert np.all(np.median(spread, axis=0) < [0.6 * PRIOR.restitution_spread, 0.75 * PRIOR.mass_spread])
     ratios = np.sqrt(np.mean((found / spread) ** 2, axis=0))
     assert np.all(ratios > 0.3)
     assert np.all(ratios < 1.3)

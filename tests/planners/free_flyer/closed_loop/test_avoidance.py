@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from planners import make_plan
+from planners.free_flyer.belief.options import EXPERT, make_record
 from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import WorldMemory, make_world_memory
 from planners.free_flyer.closed_loop.avoidance import NO_TARGET, avoid_bodies
 from planners.free_flyer.tracking.mpc import FEEDBACK, GAIN, INPUT_LIMIT
 from tests.planners.free_flyer.plans import load, set_estimate
+
+OPTIONS = make_record(EXPERT)[0]
 
 PERIOD = 0.1
 
@@ -37,7 +40,7 @@ def follow_line(table: PlanTable, memory: WorldMemory, limited: bool, crossing: 
             )
         a *= min(1.0, most / max(float(np.hypot(*a)), 1e-12))
         if limited:
-            a[:] = avoid_bodies(table, memory, 0, 0, NO_TARGET, *a)[:2]
+            a[:] = avoid_bodies(table, memory, OPTIONS, 0, 0, NO_TARGET, *a)[:2]
             assert np.hypot(*a) <= most * (1 + 1e-9)
         z["position"] += PERIOD * z["velocity"] + PERIOD**2 / 2 * a
         z["velocity"] += PERIOD * a
@@ -59,10 +62,10 @@ def test_leaves_a_target_and_what_flies_away_alone(table: PlanTable) -> None:
     memory = make_world_memory(table, 1)
     memory.filter["position"][0] = [(0, 0), (0, 9), (0.6, 0)]
     memory.filter["velocity"][0] = [(0.3, 0), (0, 0), (0, 0)]
-    assert avoid_bodies(table, memory, 0, 0, 2, 0.01, 0.02)[:2] == (0.01, 0.02)
-    ax, ay, slack = avoid_bodies(table, memory, 0, 0, NO_TARGET, 0.01, 0.02)
+    assert avoid_bodies(table, memory, OPTIONS, 0, 0, 2, 0.01, 0.02)[:2] == (0.01, 0.02)
+    ax, ay, slack = avoid_bodies(table, memory, OPTIONS, 0, 0, NO_TARGET, 0.01, 0.02)
     assert ax < -0.05
     assert slack > 0.0  # too near to brake in time: as hard as it can, and it says so
     memory.filter["velocity"][0, 2, 0] = 0.4
-    assert avoid_bodies(table, memory, 0, 0, NO_TARGET, 0.01, 0.02) == (0.01, 0.02, 0.0)
+    assert avoid_bodies(table, memory, OPTIONS, 0, 0, NO_TARGET, 0.01, 0.02) == (0.01, 0.02, 0.0)
     assert ay <= 0.02

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache
 from io import StringIO
 from types import SimpleNamespace
@@ -22,17 +23,20 @@ from impact_envs import InputError, parallel_env, rollout, vector_env
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners import make_plan
 from planners.errors import Infeasible
-from planners.free_flyer.belief.options import EXPERT
+from planners.free_flyer.belief.options import EXPERT, make_record
 from planners.free_flyer.belief.plan_table import NO_IMPACT, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, PAST_PERIOD, WorldMemory
 from planners.free_flyer.closed_loop import background
-from planners.free_flyer.closed_loop.background import APART, DELAY, LEAST_LEFT, MOST_PLANS, Background, answer_requests
+from planners.free_flyer.closed_loop.background import Background, answer_requests
 from planners.free_flyer.closed_loop.world_loop import adopt_world, start_world
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
-from planners.free_flyer.next_impact.bookkeeping import SETTLE
 from planners.plan import Plan
 from tests.planners.free_flyer.plans import load, set_fields
+
+OPTIONS = make_record(EXPERT)[0]
+TIMING = EXPERT.timing
+BACKGROUND = EXPERT.background
 
 SEED = 1_000_000
 WANTED = 12.0  # after the first impact of both scenarios, well before the second [s]
@@ -47,7 +51,7 @@ def plan_of(name: str) -> Plan:
 @cache
 def answer(line: str) -> str:
     answers = StringIO()
-    answer_requests(StringIO(line), answers)
+    answer_requests(OPTIONS, StringIO(line), answers)
     return answers.getvalue()
 
 
@@ -165,26 +169,26 @@ class Run:
 def test_asked_once_and_taken_over_two_seconds_later(name: str) -> None:
     expert, world = make_expert(name), load(name)
     run = Run(expert, world)
-    assert run.taken == pytest.approx([WANTED + DELAY], abs=1e-9)
+    assert run.taken == pytest.approx([WANTED + BACKGROUND.delay], abs=1e-9)
     assert run.numbers[-1] == 1
     assert (run.counts["planned_anew"], run.counts["no_plan"]) == (1, 0)
     assert run.success
     # Nothing is wanted until the answer had its time.
     times = world.control_period * np.arange(world.steps) - world.control_period  # of the last observation
-    waiting = (times > WANTED + 1e-6) & (times < WANTED + DELAY + APART + 1e-6)
+    waiting = (times > WANTED + 1e-6) & (times < WANTED + BACKGROUND.delay + BACKGROUND.apart + 1e-6)
     assert (run.wanted[waiting] == -np.inf).all()
-    assert (run.wanted[times > WANTED + DELAY + APART + 0.11] == np.inf).all()
+    assert (run.wanted[times > WANTED + BACKGROUND.delay + BACKGROUND.apart + 0.11] == np.inf).all()
     # The new table is one of the whole episode, in its time.
     assert expert.table.horizon == pytest.approx(world.horizon)
-    assert (expert.table.impact["time"] > WANTED + DELAY).all()
-    assert expert.table.breaks[:, 0] == pytest.approx(WANTED + DELAY)
+    assert (expert.table.impact["time"] > WANTED + BACKGROUND.delay).all()
+    assert expert.table.breaks[:, 0] == pytest.approx(WANTED + BACKGROUND.delay)
 
 
 @pytest.mark.usefixtures("inline")
 def test_nobody_is_asked_where_nothing_is_wanted_or_planning_anew_is_off(expert: FreeFlyerExpert) -> None:
     run = Run(expert, load("throw_and_catch"), ())
     assert (run.taken, run.numbers[-1]) == ([], 0)
-    off = FreeFlyerExpert(load("throw_and_catch"), plan_of("throw_and_catch"), options=EXPERT._replace(plan_anew=False))
+    off = FreeFlyerExpert(load("throw_and_catch"), plan_of("throw_and_catch"), options=replace(EXPERT, plan_anew=False))
     assert (Run(off, load("throw_and_catch")).taken, off._background._numbers) == ([], 0)
 
 
@@ -194,12 +198,12 @@ def test_asked_when_no_impact_is_near(expert: FreeFlyerExpert) -> None:
     first = plan_of("throw_and_catch").impacts[0].time
     run = Run(expert, load("throw_and_catch"), (7.5,))
     (taken,) = run.taken
-    assert first + SETTLE + DELAY - 1e-6 <= taken <= first + SETTLE + DELAY + 0.3
+    assert first + TIMING.settle + BACKGROUND.delay - 1e-6 <= taken <= first + TIMING.settle + BACKGROUND.delay + 0.3
 
 
 @pytest.mark.usefixtures("inline")
 def test_nobody_is_asked_when_little_is_left(expert: FreeFlyerExpert) -> None:
-    late = 30.0 - LEAST_LEFT + 0.5
+    late = 30.0 - BACKGROUND.least_left + 0.5
     run = Run(expert, load("throw_and_catch"), (late,))
     assert (run.taken, run.numbers[-1], run.counts["no_plan"]) == ([], 0, 0)
     assert run.wanted[-1] == -np.inf
@@ -221,11 +225,11 @@ def test_asked_twice_at_most_with_time_between(answered: bool, monkeypatch: pyte
         )
     replace_worker(monkeypatch, Counted)
     run = Run(expert, load("pong"), tuple(np.arange(WANTED, 90.0, 0.1)))
-    assert len(asked) == MOST_PLANS
+    assert len(asked) == BACKGROUND.most
     assert asked[0] == pytest.approx(WANTED)
-    assert asked[1] >= asked[0] + DELAY + APART - 1e-6
-    assert len(run.taken) == (MOST_PLANS if answered else 0)
-    assert run.counts["planned_anew" if answered else "no_plan"] == MOST_PLANS
+    assert asked[1] >= asked[0] + BACKGROUND.delay + BACKGROUND.apart - 1e-6
+    assert len(run.taken) == (BACKGROUND.most if answered else 0)
+    assert run.counts["planned_anew" if answered else "no_plan"] == BACKGROUND.most
 
 
 def refuse(monkeypatch: pytest.MonkeyPatch) -> list[float]:
@@ -244,7 +248,7 @@ def refuse(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 def test_what_cannot_be_asked_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     tried, expert = refuse(monkeypatch), make_expert("pong")
     run = Run(expert, load("pong"))
-    assert tried == pytest.approx([WANTED + DELAY])
+    assert tried == pytest.approx([WANTED + BACKGROUND.delay])
     assert (run.taken, run.numbers[-1], run.counts["no_plan"]) == ([], 0, 1)
     assert run.success
 
@@ -253,7 +257,7 @@ def test_what_cannot_be_asked_is_counted(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_what_cannot_be_asked_is_not_tried_more_than_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     tried, expert = refuse(monkeypatch), make_expert("pong")
     Run(expert, load("pong"), tuple(np.arange(WANTED, 90.0, 0.1)))
-    assert len(tried) == MOST_PLANS
+    assert len(tried) == BACKGROUND.most
 
 
 @pytest.mark.parametrize("name", ["throw_and_catch", "pong"])
@@ -266,11 +270,11 @@ def test_same_seed_same_actions_bit_for_bit(name: str, monkeypatch: pytest.Monke
     expert._background.close()
     replace_worker(monkeypatch, Inline)
     runs.append(Run(make_expert(name, world), world))
-    assert runs[0].taken == pytest.approx([WANTED + DELAY])
+    assert runs[0].taken == pytest.approx([WANTED + BACKGROUND.delay])
     for run in runs[1:]:
         np.testing.assert_array_equal(run.actions, runs[0].actions)
         assert (run.taken, run.counts) == (runs[0].taken, runs[0].counts)
-    before = round((WANTED + DELAY) / world.control_period)
+    before = round((WANTED + BACKGROUND.delay) / world.control_period)
     without = Run(make_expert(name, world), world, ())
     np.testing.assert_array_equal(without.actions[:before], runs[0].actions[:before])
     assert np.abs(without.actions - runs[0].actions).max() > 1e-3
@@ -315,7 +319,7 @@ def test_dead_process_is_no_plan_and_the_next_question_finds_another_one() -> No
     assert run.counts["no_plan"] == 1
     assert run.counts["planned_anew"] == 1
     (taken,) = run.taken
-    assert taken >= 32.5 + DELAY - 1e-6
+    assert taken >= 32.5 + BACKGROUND.delay - 1e-6
     assert run.success
     expert._background.close()
 
@@ -403,7 +407,7 @@ def test_many_worlds_may_ask_before_the_first_answer_is_read(
         asking._worker.kill()
         thread.join(10.0)
     assert not stuck
-    memory.time[:] += DELAY
+    memory.time[:] += BACKGROUND.delay
     for k in range(count):
         assert asking.poll_plan(expert.table, memory, k) is None
     assert (memory.counts["no_plan"] == 1).all()
@@ -478,7 +482,7 @@ def request(number: int, **values: object) -> str:
 def test_requests_are_answered_line_by_line() -> None:
     away = {"objects.pop.start_velocity": [0.5, 0.5]}
     answers = StringIO()
-    answer_requests(StringIO(request(3) + request(5, **away)), answers)
+    answer_requests(OPTIONS, StringIO(request(3) + request(5, **away)), answers)
     found = [json.loads(line) for line in answers.getvalue().splitlines()]
     assert [line["number"] for line in found] == [3, 5]
     assert found[1]["plan"] is None
@@ -490,7 +494,7 @@ def test_requests_are_answered_line_by_line() -> None:
 
 def test_no_requests_no_answers() -> None:
     answers = StringIO()
-    answer_requests(StringIO(""), answers)
+    answer_requests(OPTIONS, StringIO(""), answers)
     assert answers.getvalue() == ""
 
 
@@ -502,7 +506,7 @@ def test_requests_without_an_answer_are_null(monkeypatch: pytest.MonkeyPatch) ->
 
         monkeypatch.setattr(background, "plan_rest", fail)
         answers = StringIO()
-        answer_requests(StringIO(request(7)), answers)
+        answer_requests(OPTIONS, StringIO(request(7)), answers)
         assert json.loads(answers.getvalue()) == {"number": 7, "plan": None}
 
 
@@ -543,7 +547,7 @@ def test_rubbish_while_a_plan_is_made_never_raises(expert: FreeFlyerExpert, part
     """Nothing, no object or no time is seen from some time on until after the plan is taken over."""
 
     def spoil(k: int, observations: dict[str, np.ndarray]) -> None:
-        if since <= 0.1 * k <= WANTED + DELAY + 0.5:
+        if since <= 0.1 * k <= WANTED + BACKGROUND.delay + 0.5:
             for vector in observations.values():
                 vector[part] = np.nan
 
@@ -571,7 +575,7 @@ def test_past_is_what_was_seen_every_half_second(period: float, monkeypatch: pyt
 
     Run(expert, world, (WANTED,), see)
     times, tracks = found[0]
-    np.testing.assert_allclose(times, [*np.arange(0.0, WANTED + 0.1, PAST_PERIOD), WANTED + DELAY])
+    np.testing.assert_allclose(times, [*np.arange(0.0, WANTED + 0.1, PAST_PERIOD), WANTED + BACKGROUND.delay])
     shown = np.array(track)[np.rint(times[:-1] / period).astype(int)]
     np.testing.assert_allclose(tracks["snap"][:-1], shown, atol=0.05)
 
@@ -599,19 +603,19 @@ def test_adopting_keeps_what_was_learned_and_starting_forgets_it(expert: FreeFly
     )
     before = {name: getattr(memory, name).copy() for name in memory._fields}
     counts = dict(zip(COUNTERS, before["counts"][0], strict=True))
-    adopt_world(expert.table, memory, 0)
+    adopt_world(expert.table, memory, OPTIONS, 0)
     for name in kept:
         np.testing.assert_array_equal(getattr(memory, name), before[name], err_msg=name)
     assert strike["index"] == expert.table.first[0]
     assert (strike["insertions"], strike["is_inserted"]) == (0, False)
-    assert strike["last_contact"] == strike["optimised_at"] == now - SETTLE  # its flight is known already
+    assert strike["last_contact"] == strike["optimised_at"] == now - TIMING.settle  # its flight is known already
     assert strike["time"] > now
     after = dict(zip(COUNTERS, memory.counts[0], strict=True))
     assert after == counts | {"replans": counts["replans"] + 2}  # each robot's way into the new plan
     fresh = make_expert("throw_and_catch").memory
     assert not np.array_equal(memory.pair_mean, fresh.pair_mean)
     memory.wanted[0] = 3.0
-    start_world(expert.table, memory, EXPERT, 0)
+    start_world(expert.table, memory, OPTIONS, 0)
     for name in ("time", "strike", "hit", "pair_mean", "pair_covariance", "clock", "place", "wanted", "counts", "push"):
         np.testing.assert_array_equal(getattr(memory, name), getattr(fresh, name), err_msg=name)
 

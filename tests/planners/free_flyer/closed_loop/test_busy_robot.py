@@ -5,11 +5,12 @@ from __future__ import annotations
 import pytest
 
 from planners.bezier import Curve
-from planners.free_flyer.belief.options import VARIANTS
-from planners.free_flyer.next_impact.bookkeeping import SETTLE
+from planners.free_flyer.belief.options import EXPERT, VARIANTS, make_record
 from planners.free_flyer.next_impact.insertion import is_served
 from planners.free_flyer.next_impact.reachability import compute_arrival, compute_time
 from tests.planners.free_flyer.plans import K, World, load_open, make_plan, plan_impact
+
+OPTIONS = make_record(EXPERT)[0]
 
 HORIZON = 100.0
 SNAP, CRACKLE, POP, PIP = range(4)
@@ -31,7 +32,7 @@ class Loop(World):
         super().__init__(scenario, make_plan(scenario, impacts, objects=curves), VARIANTS["with_retiming"])
 
     def arrival(self, index: int) -> float:
-        return float(compute_arrival(self.table, self.memory, K, index))
+        return float(compute_arrival(self.table, self.memory, OPTIONS, K, index))
 
 
 @pytest.fixture
@@ -41,9 +42,9 @@ def loop() -> Loop:
 
 def test_impact_is_put_off_until_its_robot_can_be_there(loop: Loop) -> None:
     loop.contact(SNAP, POP, 10.0)
-    now, arrival = 10.0 + SETTLE, loop.arrival(CATCH)
-    assert arrival == 20.0 + compute_time(loop.table, CRACKLE, WAY) > 24.0
-    loop.see(POP, (1.0 + SETTLE * 2 / 12, 0.0), (2 / 12, 0.0))  # on time
+    now, arrival = 10.0 + EXPERT.timing.settle, loop.arrival(CATCH)
+    assert arrival == 20.0 + compute_time(loop.table, OPTIONS, CRACKLE, WAY) > 24.0
+    loop.see(POP, (1.0 + EXPERT.timing.settle * 2 / 12, 0.0), (2 / 12, 0.0))  # on time
     loop.see(PIP, (3.0, WAY))
     loop.see(CRACKLE, (2.6, WAY))
     loop.look(now)
@@ -56,6 +57,6 @@ def test_planned_impact_is_served_when_its_robot_is_free_and_near(loop: Loop) ->
     loop.see(CRACKLE, (2.6, WAY))
     arrival = loop.arrival(CATCH)
     for time, served in ((arrival - 0.1, False), (arrival + 0.1, True)):
-        assert is_served(loop.table, loop.memory, K, CATCH, 12.0, time) == served
+        assert is_served(loop.table, loop.memory, OPTIONS, K, CATCH, 12.0, time) == served
     loop.see(CRACKLE, (2.6, 30.0))
-    assert not is_served(loop.table, loop.memory, K, CATCH, 12.0, arrival + 0.1)
+    assert not is_served(loop.table, loop.memory, OPTIONS, K, CATCH, 12.0, arrival + 0.1)

@@ -11,19 +11,11 @@ import pytest
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
 from planners.free_flyer.belief.impact_parameters import NOW, compute_gain_spread, compute_pair_gain, find_row
-from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options, encode_options
+from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options, make_record
 from planners.free_flyer.belief.plan_table import NO_IMPACT, make_plan_table
 from planners.free_flyer.belief.world_memory import BLANK_STRIKE, NO_OBJECT, UNKNOWN, find_next_event, find_strike
 from planners.free_flyer.closed_loop.world_loop import control_world, should_replan
 from planners.free_flyer.next_impact.bookkeeping import (
-    DECISION_LEAD,
-    DECISION_SETTLE,
-    FAST,
-    HASTE,
-    PATIENCE,
-    RETRIES,
-    RETRY_IN,
-    SHORTEST_NOTICE,
     find_due,
     learn_from_hits,
     remember_before,
@@ -31,9 +23,6 @@ from planners.free_flyer.next_impact.bookkeeping import (
     take_misses,
 )
 from planners.free_flyer.next_impact.desired_velocity import (
-    BEND,
-    CRUISE,
-    DEEP_ENOUGH,
     choose_desired_velocity,
     compute_desired_velocity,
     compute_margin,
@@ -43,13 +32,18 @@ from planners.free_flyer.next_impact.desired_velocity import (
     find_share,
     hasten_next_knot,
 )
-from planners.free_flyer.next_impact.replanner import QUICK, STEADY, STEADY_WAY, replan_course
+from planners.free_flyer.next_impact.replanner import replan_course
 from planners.free_flyer.next_impact.two_body import Outcome
 from planners.free_flyer.tracking.course import evaluate_course, read_clock
 from planners.free_flyer.tracking.mpc import make_workspace
 from planners.plan import Plan
 from tests.planners.free_flyer import plans
 from tests.planners.free_flyer.plans import K, World, load_open, plan_impact, set_fields
+
+OPTIONS = make_record(EXPERT)[0]
+REPLANNING = EXPERT.replanning
+TIMING = EXPERT.timing
+SHORTEST_NOTICE = 4.0  # of an impact after a contact that came late: settled, decided, planned [s]
 
 HORIZON = 100.0
 SNAP, CRACKLE, POP, PIP = range(4)
@@ -80,7 +74,7 @@ class Loop(World):
         return float(compute_pair_gain(self.memory, K, robot, item))
 
     def miss(self, now: float) -> None:
-        take_misses(self.table, self.memory, self.options, K, now)
+        take_misses(self.table, self.memory, make_record(self.options)[0], K, now)
 
     def indices(self) -> list[int]:
         return self.strike["index"].tolist()
@@ -160,7 +154,7 @@ def test_replans_every_half_second_in_the_window(loop: Loop) -> None:
     times = []
     for k in range(350):
         now = 0.1 * k
-        if now >= 10.0 and should_replan(loop.memory, EXPERT, K, CRACKLE, 0, now):
+        if now >= 10.0 and should_replan(loop.memory, OPTIONS, K, CRACKLE, 0, now):
             loop.strike[0]["replanned_at"] = now
             times.append(now)
     np.testing.assert_allclose(np.diff(times), 0.5)
@@ -178,14 +172,14 @@ def test_published_code_plans_each_impact_once(loop: Loop) -> None:
 
 
 def test_correction_is_due_once_per_impact(loop: Loop) -> None:
-    assert find_due(loop.table, loop.memory, K, 10 - DECISION_LEAD - 0.1) == NO_OBJECT
-    assert find_due(loop.table, loop.memory, K, 10 - DECISION_LEAD) == 0
+    assert find_due(loop.table, loop.memory, OPTIONS, K, 10 - TIMING.decision_lead - 0.1) == NO_OBJECT
+    assert find_due(loop.table, loop.memory, OPTIONS, K, 10 - TIMING.decision_lead) == 0
     loop.strike[0]["is_decided"] = True
-    assert find_due(loop.table, loop.memory, K, 9.0) == NO_OBJECT
+    assert find_due(loop.table, loop.memory, OPTIONS, K, 9.0) == NO_OBJECT
     loop.contact(SNAP, POP, 23.0)  # late
     # It would be due at 22 s, but the object is not yet seen well.
-    assert find_due(loop.table, loop.memory, K, 23.0 + DECISION_SETTLE - 0.1) == NO_OBJECT
-    assert find_due(loop.table, loop.memory, K, 23.0 + DECISION_SETTLE) == 0
+    assert find_due(loop.table, loop.memory, OPTIONS, K, 23.0 + TIMING.decision_settle - 0.1) == NO_OBJECT
+    assert find_due(loop.table, loop.memory, OPTIONS, K, 23.0 + TIMING.decision_settle) == 0
 
 
 def test_late_impact_leaves_notice_for_the_next_one_and_time_for_the_rest(loop: Loop) -> None:
@@ -229,9 +223,9 @@ def test_first_impact_is_expected_as_planned_in_its_window(time: float) -> None:
 @pytest.mark.parametrize(
     ("opens", "closes", "way", "expected"),
     [
-        (20, 32, 2.1, 10 + HASTE * 22),
+        (20, 32, 2.1, 10 + TIMING.haste * 22),
         (28, 32, 2.1, 28),  # not before the window opens
-        (20, 32, 4.0, 10 + 4.0 / FAST),  # no faster than that
+        (20, 32, 4.0, 10 + 4.0 / TIMING.fast),  # no faster than that
         (20, 32, 9.0, 31),  # nor later than planned
         (20, 60, 2.1, 31),
         (20, 100, 2.1, 31),  # closes with the task
@@ -250,23 +244,23 @@ def test_flight_into_a_closing_window_is_begun_fast_enough_for_a_weak_throw(
 
 def test_missed_impact_is_tried_again_then_given_up(loop: Loop) -> None:
     now = 10.0
-    for k in range(RETRIES):
-        loop.miss(now + PATIENCE - 0.1)
+    for k in range(TIMING.retries):
+        loop.miss(now + TIMING.patience - 0.1)
         assert loop.count("retry") == k
-        loop.miss(now + PATIENCE + 0.1)
+        loop.miss(now + TIMING.patience + 0.1)
         assert loop.count("retry") == k + 1
-        now += PATIENCE + 0.1 + RETRY_IN
+        now += TIMING.patience + 0.1 + TIMING.retry_in
         assert loop.strike[0]["time"] == pytest.approx(now)
         assert loop.strike[0]["replanned_at"] == -math.inf  # the course is planned anew
     assert loop.count("give_up") == 0
-    loop.miss(now + PATIENCE + 0.1)
+    loop.miss(now + TIMING.patience + 0.1)
     assert loop.indices() == [1, 2]
-    assert (loop.count("retry"), loop.count("give_up")) == (RETRIES, 1)
+    assert (loop.count("retry"), loop.count("give_up")) == (TIMING.retries, 1)
 
 
 def test_variants_without_retiming_give_up_at_once(loop: Loop) -> None:
     loop.options = STILL
-    loop.miss(10 + PATIENCE + 0.1)
+    loop.miss(10 + TIMING.patience + 0.1)
     assert loop.indices() == [1, 2]
     assert (loop.count("retry"), loop.count("give_up")) == (0, 1)
 
@@ -274,7 +268,7 @@ def test_variants_without_retiming_give_up_at_once(loop: Loop) -> None:
 @pytest.mark.parametrize("outcome", [Outcome.NOT_NEEDED, Outcome.OUT_OF_REACH])
 def test_needless_or_hopeless_impact_is_not_tried_again(loop: Loop, outcome: Outcome) -> None:
     set_fields(loop.strike[0], is_solved=True, outcome=outcome)
-    loop.miss(10 + PATIENCE + 0.1)
+    loop.miss(10 + TIMING.patience + 0.1)
     assert (loop.count("retry"), loop.count("give_up")) == (0, 1)
 
 
@@ -294,7 +288,7 @@ def test_after_an_inserted_impact_the_planned_one_is_still_to_come(loop: Loop) -
     assert loop.strike[0]["robot"] == SNAP
     assert loop.strike[0]["time"] == 10.0
     set_fields(loop.strike[0], is_inserted=True, robot=CRACKLE, time=7.0)
-    loop.miss(7.0 + PATIENCE + 0.1)  # an inserted one is not tried again
+    loop.miss(7.0 + TIMING.patience + 0.1)  # an inserted one is not tried again
     assert loop.indices() == [0, 2]
     assert (loop.count("retry"), loop.count("give_up")) == (0, 1)
 
@@ -306,21 +300,21 @@ def test_what_was_learned_waits_for_the_velocity_and_ends_with_the_next_contact(
     remember_before(loop.table, loop.memory, K)
     loop.feel(SNAP, 0.1)
     loop.contact(SNAP, POP, 10.0)
-    before = compute_gain_spread(loop.memory, K, SNAP, 0)
+    before = compute_gain_spread(loop.memory, OPTIONS, K, SNAP, 0)
     for now, speed in ((10.9, 0.5), (11.0, 0.07)):
         loop.see_at(now, POP, (0, 0), (0.01 + speed, 0.02))
-        learn_from_hits(loop.table, loop.memory, EXPERT, K, now)
+        learn_from_hits(loop.table, loop.memory, OPTIONS, K, now)
         if now < 11.0:
             assert loop.hit[0]["ratio"] == 0.0
             assert loop.gain(SNAP, 0) == pytest.approx(0.9)
     assert loop.hit[0]["ratio"] == pytest.approx(0.07 / 0.08)
     assert loop.hit[0]["seen"] == 1
     assert loop.gain(SNAP, 0) == pytest.approx(0.7, abs=0.02)  # what is seen counts more than what was believed
-    assert compute_gain_spread(loop.memory, K, SNAP, 0) < 0.4 * before
+    assert compute_gain_spread(loop.memory, OPTIONS, K, SNAP, 0) < 0.4 * before
     learned = loop.gain(SNAP, 0)
     loop.contact(CRACKLE, POP, 13.0)  # not the planned time: a disturbance
     loop.see_at(15.0, POP, (0, 0), (0.3, 0.0))
-    learn_from_hits(loop.table, loop.memory, EXPERT, K, 15.0)
+    learn_from_hits(loop.table, loop.memory, OPTIONS, K, 15.0)
     assert loop.hit[0]["ratio"] == pytest.approx(0.07 / 0.08)
     assert loop.gain(SNAP, 0) == learned
 
@@ -334,7 +328,7 @@ def test_drift_is_not_blamed_on_the_impact(loop: Loop) -> None:
     flight = 2.0 + loop.table.period  # from the last look before the contact
     loop.see_at(12.0, POP, (0, 0), (0.09 + flight * 1e-3, flight * 5e-3))
     loop.memory.filter[K, POP]["drift"] = 1e-3, 5e-3
-    learn_from_hits(loop.table, loop.memory, EXPERT, K, 12.0)
+    learn_from_hits(loop.table, loop.memory, OPTIONS, K, 12.0)
     assert loop.gain(SNAP, 0) == pytest.approx(0.9, abs=1e-6)
     assert loop.hit[0]["before"][0] == 0.0
 
@@ -360,7 +354,7 @@ def test_desired_velocity_leads_to_the_target_under_drift() -> None:
 
 def test_aims_at_the_next_knot(loop: Loop) -> None:
     loop.see_at(2.0, POP, (0.5, 1.0), (0.01, 0.0))
-    wish = np.array(choose_desired_velocity(loop.table, loop.memory, EXPERT, K, 0))
+    wish = np.array(choose_desired_velocity(loop.table, loop.memory, OPTIONS, K, 0))
     np.testing.assert_allclose(wish, ([3.0, 0.0] - np.array([0.58, 1.0])) / 20.0, atol=1e-12)
 
 
@@ -376,7 +370,7 @@ def last_aim(
     assert loop.table.knot[1]["depth"] == 3.0
     loop.see_at(now, POP, (position[0] - speed * (time - now), position[1]), (speed, 0.0))
     set_time(loop.table, loop.memory, K, 0, 0, time)
-    wish = np.array(choose_desired_velocity(loop.table, loop.memory, options, K, 0))
+    wish = np.array(choose_desired_velocity(loop.table, loop.memory, make_record(options)[0], K, 0))
     return np.array(position) + (HORIZON - time) * wish
 
 
@@ -387,7 +381,7 @@ def test_last_impact_goes_to_the_end_where_there_is_time() -> None:
 def test_last_impact_is_gentle_where_there_is_little_time() -> None:
     """It goes just deep enough; the paper's goes all the way and so faster."""
     end = last_aim(90.0, 94.0, (5.0, 0.5))
-    assert 4.0 + DEEP_ENOUGH * 3.0 <= end[0] < 6.3
+    assert 4.0 + EXPERT.aim.deep_enough * 3.0 <= end[0] < 6.3
     paper = last_aim(90.0, 94.0, (5.0, 0.5), VARIANTS["paper_expert"])
     assert paper[0] > end[0] + 0.5
 
@@ -399,11 +393,11 @@ def test_last_impact_stops_the_object_where_it_is_deep_enough() -> None:
 def test_share_of_the_way_that_is_deep_enough() -> None:
     scenario = make_scenario(GOAL)
     table = make_plan_table(scenario, make_plan(scenario, (10, "snap", "pop")))
-    deep = DEEP_ENOUGH * 3.0
-    share = find_share(table, 1, 3.0, 2.0, 7.0, 0.0)
+    deep = EXPERT.aim.deep_enough * 3.0
+    share = find_share(table, OPTIONS, 1, 3.0, 2.0, 7.0, 0.0)
     x, y = 3.0 + share * 4.0, 2.0 - share * 2.0
     assert min(x - 4.0, 3.0 - abs(y)) == pytest.approx(deep)
-    assert find_share(table, 1, 6.9, 0.1, 7.0, 0.0) == 0.0
+    assert find_share(table, OPTIONS, 1, 6.9, 0.1, 7.0, 0.0) == 0.0
     assert compute_margin(table, 1, 5.0, 1.0) == 1.0
     assert compute_margin(table, 1, 3.0, 1.0) == -1.0
     assert compute_margin(table, 0, 3.0, 1.0) == math.inf
@@ -428,20 +422,20 @@ def test_turn_is_the_cosine_to_the_planned_normal(loop: Loop) -> None:
 
 def test_drift_makes_the_next_flight_short_enough_to_stay_near_the_straight_way(loop: Loop) -> None:
     loop.see_at(5.0, POP, (1.0, 0.0), (0.0, 0.0))
-    hasten_next_knot(loop.table, loop.memory, K, 0)
+    hasten_next_knot(loop.table, loop.memory, OPTIONS, K, 0)
     assert loop.clock[1] == 30.0
     loop.memory.filter[K, POP]["drift"][1] = 0.02
-    hasten_next_knot(loop.table, loop.memory, K, 0)
+    hasten_next_knot(loop.table, loop.memory, OPTIONS, K, 0)
     # a L^2 / 8 = BEND says L = 10 s; the object is 0.75 m (drift since 5 s: 0.25 m) and 2 m away from its knot
     way = math.hypot(2.0, 0.25)
-    assert loop.clock[1] == pytest.approx(10.0 + max(math.sqrt(8 * BEND / 0.02), way / CRUISE))
+    assert loop.clock[1] == pytest.approx(10.0 + max(math.sqrt(8 * EXPERT.aim.bend / 0.02), way / EXPERT.aim.cruise))
     assert loop.clock[1] < 30.0
 
 
 def test_replan_leads_the_robot_behind_the_object_with_the_speed_that_is_needed(loop: Loop) -> None:
     loop.see_at(2.0, POP, (1.0, 0.5), (0.0, 0.0))
     loop.see_at(2.0, SNAP, (0.0, 0.5), (0.0, 0.0))
-    replan_course(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
+    replan_course(loop.table, loop.memory, OPTIONS, K, SNAP, 0, 2.0)
     wish = (np.array([3.0, 0.0]) - [1.0, 0.5]) / 20.0
     normal, factor = wish / np.linalg.norm(wish), 0.9
     strike = loop.strike[0]
@@ -451,16 +445,23 @@ def test_replan_leads_the_robot_behind_the_object_with_the_speed_that_is_needed(
     assert (loop.count("replans"), loop.count("lost")) == (1, 0)
     # A restitution that was learned changes the approach, not the aim.
     loop.memory.pair_mean[K, NOW, find_row(loop.memory, SNAP, 0)] = 0.4
-    replan_course(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
+    replan_course(loop.table, loop.memory, OPTIONS, K, SNAP, 0, 2.0)
     np.testing.assert_allclose(strike["robot_minus"], np.linalg.norm(wish) / 0.7 * normal, atol=1e-12)
 
 
-@pytest.mark.parametrize(("speed", "steady"), [(0.01, STEADY), (0.02, STEADY_WAY / 0.02 - QUICK), (0.1, 0.0)])
+@pytest.mark.parametrize(
+    ("speed", "steady"),
+    [
+        (0.01, REPLANNING.steady),
+        (0.02, REPLANNING.steady_way / 0.02 - REPLANNING.quick),
+        (0.1, 0.0),
+    ],
+)
 def test_gentle_hit_comes_at_constant_speed(loop: Loop, speed: float, steady: float) -> None:
     """The object rests so far from its next place that it needs 0.9 times that approach speed."""
     loop.see_at(2.0, POP, (3.0 - 0.9 * speed * 20.0, 0.0), (0.0, 0.0))
     loop.see_at(2.0, SNAP, (0.0, 0.5), (0.0, 0.0))  # where its plan rests
-    replan_course(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
+    replan_course(loop.table, loop.memory, OPTIONS, K, SNAP, 0, 2.0)
     course, contact = loop.course[SNAP], loop.strike[0]["contact"]
     assert loop.count("lost") == 0
     assert course["until"] == pytest.approx(10.0 - steady)
@@ -472,7 +473,7 @@ def test_gentle_hit_comes_at_constant_speed(loop: Loop, speed: float, steady: fl
 def test_robot_that_was_lost_starts_from_where_it_is(loop: Loop) -> None:
     loop.see_at(2.0, POP, (1.0, 0.5), (0.0, 0.0))
     loop.see_at(2.0, SNAP, (0.0, 2.5), (0.01, 0.0))  # its plan rests at (0, 0.5)
-    replan_course(loop.table, loop.memory, EXPERT, K, SNAP, 0, 2.0)
+    replan_course(loop.table, loop.memory, OPTIONS, K, SNAP, 0, 2.0)
     assert loop.count("lost") == 1
 
 
@@ -482,7 +483,7 @@ def test_robot_does_not_set_off_to_a_later_impact_before_an_earlier_one() -> Non
     loop = Loop(scenario, make_plan(scenario, (10, "crackle", "pip"), (20, "crackle", "pop")))
     workspace, actions = make_workspace(), np.zeros((3, 2, 3))
     loop.memory.time[K] = 5.0
-    control_world(loop.table, loop.memory, Options(*encode_options(EXPERT)), workspace, 0, K, actions)
+    control_world(loop.table, loop.memory, OPTIONS, workspace, 0, K, actions)
     assert loop.strike["is_solved"].tolist() == [False, True]
     assert loop.course["ends_in_impact"].tolist() == [False, True]
     assert np.isfinite(actions[K]).all()

@@ -7,10 +7,13 @@ import math
 import numpy as np
 import pytest
 
+from planners.free_flyer.belief.options import EXPERT, make_record
 from planners.free_flyer.belief.plan_table import NO_IMPACT
 from planners.free_flyer.next_impact.reachability import compute_arrival, compute_time, find_contact, is_reachable
 from planners.free_flyer.tracking.course import COURSE, evaluate_course, fit_quintic
 from tests.planners.free_flyer.plans import K, World, load_open, make_plan, plan_impact, set_fields
+
+OPTIONS = make_record(EXPERT)[0]
 
 SNAP, CRACKLE, POP, FIZZ = range(4)
 FORCE = {"snap": 1.5, "crackle": 0.6}  # [N]
@@ -35,13 +38,13 @@ class Start(World):
         super().__init__(scenario, make_plan(scenario, impacts))
 
     def arrive(self, index: int) -> float:
-        return float(compute_arrival(self.table, self.memory, K, index))
+        return float(compute_arrival(self.table, self.memory, OPTIONS, K, index))
 
     def find_contact(self, index: int) -> np.ndarray:
         return np.array(find_contact(self.table, self.memory, K, index))
 
     def reaches(self, robot: int, place: tuple[float, float], speed: tuple[float, float], span: float) -> bool:
-        return bool(is_reachable(self.table, self.memory, K, robot, *place, *speed, span))
+        return bool(is_reachable(self.table, self.memory, OPTIONS, K, robot, *place, *speed, span))
 
 
 @pytest.fixture
@@ -62,17 +65,17 @@ def fly(begin: tuple[float, ...], end: tuple[float, ...], span: float) -> float:
 @pytest.mark.parametrize("robot", [SNAP, CRACKLE])
 @pytest.mark.parametrize("way", [0.05, 0.4, 3.0, 25.0])
 def test_time_is_that_of_a_quintic_with_three_quarters_of_the_thrust(world: Start, robot: int, way: float) -> None:
-    span = compute_time(world.table, robot, way)
+    span = compute_time(world.table, OPTIONS, robot, way)
     angle = 0.7
     end = (0.2 + way * math.cos(angle), -0.3 + way * math.sin(angle), 0.0, 0.0)
     assert fly((0.2, -0.3, 0.0, 0.0), end, span) == pytest.approx(THRUST[robot], rel=1e-5)
 
 
 def test_time_grows_with_the_root_of_the_way(world: Start) -> None:
-    assert compute_time(world.table, SNAP, 0.0) == 0.0
-    one = compute_time(world.table, SNAP, 1.0)
-    assert compute_time(world.table, SNAP, 4.0) == pytest.approx(2.0 * one)
-    assert compute_time(world.table, CRACKLE, 1.0) == pytest.approx(one * math.sqrt(1.5 / 0.6))
+    assert compute_time(world.table, OPTIONS, SNAP, 0.0) == 0.0
+    one = compute_time(world.table, OPTIONS, SNAP, 1.0)
+    assert compute_time(world.table, OPTIONS, SNAP, 4.0) == pytest.approx(2.0 * one)
+    assert compute_time(world.table, OPTIONS, CRACKLE, 1.0) == pytest.approx(one * math.sqrt(1.5 / 0.6))
 
 
 @pytest.mark.parametrize("index", range(len(HITS)))
@@ -92,20 +95,20 @@ def test_robot_comes_after_its_impact_on_another_object(world: Start) -> None:
     for time in (20.0, 23.5):
         world.clock[1] = time
         way = world.find_contact(3) - world.find_contact(1)
-        after = time + compute_time(world.table, SNAP, float(np.hypot(*way)))
+        after = time + compute_time(world.table, OPTIONS, SNAP, float(np.hypot(*way)))
         assert world.arrive(3) == pytest.approx(after)
     way = world.find_contact(1) - world.find_contact(0)
-    assert world.arrive(1) == pytest.approx(10.0 + compute_time(world.table, SNAP, float(np.hypot(*way))))
+    assert world.arrive(1) == pytest.approx(10.0 + compute_time(world.table, OPTIONS, SNAP, float(np.hypot(*way))))
 
 
 def test_latest_of_all_impacts_before_counts(world: Start) -> None:
     """pop's own first impact is long done when fizz has been hit, unless it is put off."""
     world.clock[0] = 50.0
     way = world.find_contact(3) - world.find_contact(0)
-    assert world.arrive(3) == pytest.approx(50.0 + compute_time(world.table, SNAP, float(np.hypot(*way))))
+    assert world.arrive(3) == pytest.approx(50.0 + compute_time(world.table, OPTIONS, SNAP, float(np.hypot(*way))))
     world.strike[0]["index"] = 2  # it is done
     way = world.find_contact(3) - world.find_contact(1)
-    assert world.arrive(3) == pytest.approx(20.0 + compute_time(world.table, SNAP, float(np.hypot(*way))))
+    assert world.arrive(3) == pytest.approx(20.0 + compute_time(world.table, OPTIONS, SNAP, float(np.hypot(*way))))
     world.strike[1]["index"] = NO_IMPACT
     assert world.arrive(3) == 0.0
 
@@ -113,7 +116,7 @@ def test_latest_of_all_impacts_before_counts(world: Start) -> None:
 def test_impacts_that_come_later_do_not_count(world: Start) -> None:
     world.clock[1] = 70.0
     way = world.find_contact(3) - world.find_contact(0)
-    assert world.arrive(3) == pytest.approx(10.0 + compute_time(world.table, SNAP, float(np.hypot(*way))))
+    assert world.arrive(3) == pytest.approx(10.0 + compute_time(world.table, OPTIONS, SNAP, float(np.hypot(*way))))
 
 
 @pytest.mark.parametrize(("robot", "counts"), [(SNAP, True), (CRACKLE, False)])
@@ -123,7 +126,7 @@ def test_inserted_impact_counts_where_the_object_will_be(world: Start, robot: in
     world.strike["index"] = 3, NO_IMPACT
     set_fields(world.strike[1], is_inserted=True, robot=robot, time=50.0)
     way = world.find_contact(3) - [6.0, 1.5]
-    after = 50.0 + compute_time(world.table, SNAP, float(np.hypot(*way)))
+    after = 50.0 + compute_time(world.table, OPTIONS, SNAP, float(np.hypot(*way)))
     assert world.arrive(3) == pytest.approx(after if counts else 0.0)
 
 
@@ -143,7 +146,7 @@ def test_reachable_at_rest_is_what_there_is_time_for(world: Start, seed: int) ->
         for _ in range(50):
             begin, way = rng.uniform(-3, 3, 2), rng.uniform(-3, 3, 2)
             world.see(robot, begin)
-            span = compute_time(world.table, robot, float(np.hypot(*way)))
+            span = compute_time(world.table, OPTIONS, robot, float(np.hypot(*way)))
             place = tuple(begin + way)
             assert world.reaches(robot, place, (0.0, 0.0), 1.001 * span)
             # The compiled one looks at seven instants, at which 97 % of the greatest acceleration is seen.

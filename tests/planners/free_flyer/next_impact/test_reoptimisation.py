@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import clarabel
@@ -13,36 +14,25 @@ from scipy import sparse
 
 from planners.cones import solve_clarabel
 from planners.errors import Infeasible
-from planners.free_flyer.belief.options import EXPERT
+from planners.free_flyer.belief.options import EXPERT, make_record
 from planners.free_flyer.belief.plan_table import NO_IMPACT
 from planners.free_flyer.closed_loop.world_loop import look_ahead
-from planners.free_flyer.next_impact.bookkeeping import SETTLE
-from planners.free_flyer.next_impact.insertion import LONG_ASTRAY, SOON
 from planners.free_flyer.next_impact.reoptimisation import (
-    GAP,
-    INSET,
-    NOTICE,
-    RESERVE,
-    RESERVE_SHARE,
-    SCALE_PLACE,
-    SCALE_RHO,
-    SCALE_TIME,
-    SHARE,
-    SHORTEST_LEG,
-    SHORTEST_WAY,
-    WIDEST,
     reoptimise_rest,
 )
 from planners.free_flyer.next_impact.rest_qp import MOST_KNOTS
 from tests.planners.free_flyer.plans import Hit, K, World, load_open, make_straight_plan
 
-HORIZON, HIT, NOW = 100.0, 10.0, 10.0 + SETTLE
+OPTIONS = make_record(EXPERT)[0]
+SCALES = EXPERT.reoptimisation
+
+HORIZON, HIT, NOW = 100.0, 10.0, 10.0 + EXPERT.timing.settle
 SNAP, CRACKLE, POP = range(3)
 C = 1  # the thread that plays, of three
 THRUST = 0.75 * 1.5 / 16.8  # three quarters of the robots' force over their mass [m/s^2]
 REACH = 0.4  # from a robot's centre to that of the object it hits [m]
-FASTEST = SHARE * 0.5  # [m/s]
-ONLY = EXPERT._replace(retime=False, insert=False)
+FASTEST = SCALES.share * 0.5  # [m/s]
+ONLY = replace(EXPERT, retime=False, insert=False)
 BAND = "G[0,100] (pop.y <= 0.5 & pop.y >= -0.5)"
 SLALOM = (
     "F[27,33] (pop.x >= 2 & pop.x <= 4 & pop.y >= 0.5 & pop.y <= 2) & F[52,62] (pop.x <= 2 & pop.y <= -0.5)"
@@ -88,7 +78,7 @@ class Loop(World):
         self.see(POP, (1.0 + vx * (NOW - HIT), vy * (NOW - HIT)), (vx, vy))
 
     def optimise(self) -> bool:
-        return bool(reoptimise_rest(self.table, self.memory, self.qp, C, K, 0, NOW))
+        return bool(reoptimise_rest(self.table, self.memory, OPTIONS, self.qp, C, K, 0, NOW))
 
     def chain(self) -> list[int]:
         """Return pop's knots that are left, the end included."""
@@ -137,44 +127,54 @@ def make_problem(loop: Loop) -> Problem:
     def at_most(row: np.ndarray, constant: float, bound: float) -> None:
         rows.append((row, bound - constant))
 
-    residuals = [(rho / SCALE_RHO, min([*table.knot[chain]["depth"], np.inf]) / SCALE_RHO)]
+    residuals = [
+        (
+            rho / SCALES.scale_rho,
+            min([*table.knot[chain]["depth"], np.inf]) / SCALES.scale_rho,
+        )
+    ]
     if not np.isfinite(residuals[0][1]):
-        residuals = [(rho / SCALE_RHO, 0.0)]
+        residuals = [(rho / SCALES.scale_rho, 0.0)]
     for i, knot in enumerate(chain):
         for a in range(2):
             row, constant = places[i][a]
-            residuals.append((row / SCALE_PLACE, (table.knot[knot]["position"][a] - constant) / SCALE_PLACE))
+            residuals.append(
+                (
+                    row / SCALES.scale_place,
+                    (table.knot[knot]["position"][a] - constant) / SCALES.scale_place,
+                )
+            )
         for (hx, hy), bound in table.face[knot, : table.knot[knot]["faces"]]:
             row = hx * places[i][0][0] + hy * places[i][1][0] + rho
             at_most(row, hx * places[i][0][1] + hy * places[i][1][1], bound)
     for i, knot in enumerate(chain[:-1]):
         old, opens, closes = loop.clock[knot], table.knot[knot]["opens"], table.knot[knot]["closes"]
-        residuals.append((unit[i] / SCALE_TIME, old / SCALE_TIME))
-        inset = min(INSET, (closes - opens) / 4)
-        latest = max(HORIZON - max(RESERVE, RESERVE_SHARE * HORIZON), old)
+        residuals.append((unit[i] / SCALES.scale_time, old / SCALES.scale_time))
+        inset = min(SCALES.inset, (closes - opens) / 4)
+        latest = max(HORIZON - max(EXPERT.retiming.reserve, EXPERT.retiming.reserve_share * HORIZON), old)
         at_most(unit[i], 0.0, min(closes - inset, latest))
-        soonest = max(opens + inset, min(NOW + NOTICE, old)) if i == 0 else opens + inset
+        soonest = max(opens + inset, min(NOW + SCALES.notice, old)) if i == 0 else opens + inset
         at_most(-unit[i], 0.0, -soonest)
         if i:
             planned = table.impact[knot]["time"] - table.impact[chain[i - 1]]["time"]
-            at_most(unit[i - 1] - unit[i], 0.0, -min(GAP, planned))
+            at_most(unit[i - 1] - unit[i], 0.0, -min(SCALES.gap, planned))
     for i in range(m):
         leg = [(places[i + 1][a][0] - places[i][a][0], places[i + 1][a][1] - places[i][a][1]) for a in range(2)]
         span = (times[i + 1][0] - times[i][0], times[i + 1][1] - times[i][1])
         for (row, constant), sign in itertools.product(leg, (1.0, -1.0)):
             at_most(sign * row - FASTEST * span[0], sign * constant - FASTEST * span[1], 0.0)
         wish = table.knot[chain[i + 1]]["position"] - table.knot[chain[i]]["position"]
-        if np.hypot(*wish) < SHORTEST_LEG:
+        if np.hypot(*wish) < SCALES.shortest_leg:
             continue
         for knot, way in ((chain[i], 1.0), (chain[i + 1], -1.0)):
             if knot == chain[-1]:
                 continue
             n = table.impact[knot]["normal"]
             side = np.array([-n[1], n[0]])
-            if abs(side @ wish) > WIDEST * way * (n @ wish):
+            if abs(side @ wish) > SCALES.widest * way * (n @ wish):
                 continue
             for turn in (1.0, -1.0):
-                h = way * (turn * side - WIDEST * n)
+                h = way * (turn * side - SCALES.widest * n)
                 at_most(h[0] * leg[0][0] + h[1] * leg[1][0], h[0] * leg[0][1] + h[1] * leg[1][1], 0.0)
     for row, constant, bound in robot_rows(loop, chain, times, places):
         at_most(row, constant, bound)
@@ -203,7 +203,7 @@ def robot_rows(loop: Loop, chain: list[int], times: list, places: list) -> list[
     def give(i: int, since: np.ndarray, other: tuple[np.ndarray, float], sign: float, longest: float) -> None:
         knot = chain[i]
         way = stand[knot] - since
-        d = max(np.hypot(*way), SHORTEST_WAY)
+        d = max(np.hypot(*way), SCALES.shortest_way)
         tau = min(compute_span(d), longest)
         slope = tau / (2.0 * d) * way / d if tau < longest else np.zeros(2)
         row = sum(slope[a] * places[i][a][0] for a in range(2)) - sign * (times[i][0] - other[0])
@@ -293,8 +293,8 @@ def test_every_promise_is_kept_after_a_wrong_throw(case: str, seed: int) -> None
     # The same without the tables of rows: windows, order, reserve, speed.
     assert (times >= table.knot[chain[:-1]]["opens"] - 1e-7).all()
     assert (times <= table.knot[chain[:-1]]["closes"] + 1e-7).all()
-    assert (np.diff(times) >= GAP - 1e-7).all()
-    assert times[-1] <= HORIZON - RESERVE_SHARE * HORIZON + 1e-7
+    assert (np.diff(times) >= SCALES.gap - 1e-7).all()
+    assert times[-1] <= HORIZON - EXPERT.retiming.reserve_share * HORIZON + 1e-7
     x, v = read_flight(loop)
     points = np.vstack([x + v * (times[0] - NOW), loop.place[chain[1:]]])
     speeds = np.abs(np.diff(points, axis=0)) / np.diff([*times, HORIZON])[:, None]
@@ -312,7 +312,7 @@ def test_margin_is_the_plans_or_what_is_left_of_it(case: str, seed: int) -> None
     loop = make_loop(case, seed)
     problem, planned = make_problem(loop), loop.table.knot[loop.chain()]["depth"].min()
     assert loop.optimise()
-    rho = loop.qp.centre[C, len(problem.J[0]) - 1] + SCALE_RHO * loop.qp.point[C, len(problem.J[0]) - 1]
+    rho = loop.qp.centre[C, len(problem.J[0]) - 1] + SCALES.scale_rho * loop.qp.point[C, len(problem.J[0]) - 1]
     assert rho <= planned + 1e-9
     assert check_rows(loop, problem) >= rho - 1e-7
 
@@ -367,13 +367,13 @@ def test_impact_comes_no_sooner_than_there_is_notice() -> None:
     loop.fly(0.4)
     loop.see(CRACKLE, (4.6, 0.1))
     assert loop.optimise()
-    assert loop.clock[1] == pytest.approx(NOW + NOTICE)
+    assert loop.clock[1] == pytest.approx(NOW + SCALES.notice)
     near = Loop(BAND, hits)
     near.clock[1] = near.strike[0]["time"] = NOW + 2.5
     near.fly(0.4)
     near.see(CRACKLE, (3.0, 0.1))
     assert near.optimise()
-    assert NOW + 2.5 - 1e-7 <= near.clock[1] < NOW + NOTICE
+    assert NOW + 2.5 - 1e-7 <= near.clock[1] < NOW + SCALES.notice
 
 
 def far_robot(formula: str = WIDE) -> Loop:
@@ -411,7 +411,7 @@ def test_no_optimum_is_counted_once_per_impact_and_a_flight_astray_asks_sooner_f
         loop.look(NOW + 0.1 * step)
     assert (loop.count("no_optimum"), loop.count("reoptimised")) == (1, 0)
     assert (loop.memory.wanted == np.inf).all()
-    assert loop.strike[0]["astray_since"] == pytest.approx(NOW - LONG_ASTRAY + SOON)
+    assert loop.strike[0]["astray_since"] == pytest.approx(NOW - EXPERT.insertion.long_astray + EXPERT.insertion.soon)
     np.testing.assert_array_equal(loop.clock, clocks)
 
 
@@ -430,21 +430,21 @@ def test_optimised_once_after_every_contact_when_the_flight_is_known() -> None:
     for step in range(30):
         loop.look(40.0 + 0.1 * step)
     assert loop.count("reoptimised") == 2
-    assert loop.strike[0]["optimised_at"] == pytest.approx(40.0 + SETTLE)
+    assert loop.strike[0]["optimised_at"] == pytest.approx(40.0 + EXPERT.timing.settle)
 
 
 @pytest.mark.parametrize("change", ["option", "inserted", "over", "unsettled"])
 def test_not_optimised_where_there_is_nothing_to_be_done(change: str) -> None:
     loop = Loop(BAND, LINE)
     loop.fly(0.08)
-    options, now = ONLY._replace(reoptimise=change != "option"), NOW if change != "unsettled" else NOW - 0.2
+    options, now = replace(ONLY, reoptimise=change != "option"), NOW if change != "unsettled" else NOW - 0.2
     if change == "inserted":
         loop.strike[0]["is_inserted"] = True
     if change == "over":
         loop.strike[0]["index"] = NO_IMPACT
     clocks = loop.clock.copy()
     loop.strike[0]["looked_at"] = -np.inf
-    look_ahead(loop.table, loop.memory, options, loop.qp, C, K, now)
+    look_ahead(loop.table, loop.memory, make_record(options)[0], loop.qp, C, K, now)
     assert (loop.count("no_optimum"), loop.count("reoptimised")) == (0, 0)
     np.testing.assert_array_equal(loop.clock, clocks)
 
@@ -457,7 +457,7 @@ def test_threads_optimise_in_places_of_their_own() -> None:
     assert loop.optimise()
     for part, before in zip(loop.qp, others, strict=True):
         np.testing.assert_array_equal(part[[0, 2]], before)
-    assert reoptimise_rest(other.table, other.memory, other.qp, 2, K, 0, NOW)
+    assert reoptimise_rest(other.table, other.memory, OPTIONS, other.qp, 2, K, 0, NOW)
     np.testing.assert_array_equal(other.clock, loop.clock)
     np.testing.assert_array_equal(other.place, loop.place)
 
@@ -487,4 +487,4 @@ def test_impacts_do_not_come_after_those_beyond_the_most() -> None:
     loop = make_many()
     loop.see(CRACKLE, (2.0, 22.0))
     loop.optimise()
-    assert (np.diff(loop.clock[1 : MOST_KNOTS + 3]) >= GAP - 1e-7).all()
+    assert (np.diff(loop.clock[1 : MOST_KNOTS + 3]) >= SCALES.gap - 1e-7).all()

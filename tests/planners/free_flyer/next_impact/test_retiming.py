@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain
-from planners.free_flyer.belief.options import VARIANTS, Options
+from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options, make_record
 from planners.free_flyer.belief.plan_table import NO_IMPACT
-from planners.free_flyer.next_impact.bookkeeping import SETTLE
-from planners.free_flyer.next_impact.desired_velocity import CRUISE
-from planners.free_flyer.next_impact.insertion import LEADS, LEAST_LEG, LONG_ASTRAY, MOST_INSERTED, SIDE
-from planners.free_flyer.next_impact.reachability import EASE, is_reachable
-from planners.free_flyer.next_impact.retiming import FROZEN, RESERVE_SHARE, compute_reserve
+from planners.free_flyer.next_impact.reachability import is_reachable
+from planners.free_flyer.next_impact.retiming import compute_reserve
 from planners.free_flyer.tracking.course import COURSE, evaluate_course, fit_quintic
 from tests.planners.free_flyer.plans import K, World, load_open, make_straight_plan, set_fields
+
+OPTIONS = make_record(EXPERT)[0]
+INSERTION = EXPERT.insertion
 
 HORIZON, HIT = 100.0, 10.0
 SNAP, CRACKLE, POP = range(3)
 BOTH = VARIANTS["with_insertion"]  # impacts are moved and inserted, what is left of the plan is not chosen anew
-FIXED = BOTH._replace(retime=False)  # where the object is late or early, it is hit once more or not at all
+FIXED = replace(BOTH, retime=False)  # where the object is late or early, it is hit once more or not at all
 BAND = "G[0,100] (pop.y <= 0.5 & pop.y >= -0.5)"  # the plan is 0.5 m deep in it
 # Impacts of the plan: (time, robot, x) of the object, which flies along y = 0.
 THREE = ((HIT, "snap", 1.0), (30.0, "crackle", 3.0), (60.0, "snap", 1.5))
@@ -45,7 +46,7 @@ class Loop(World):
         self.strike = self.strike[0]
 
 
-def fly(loop: Loop, vx: float, vy: float = 0.0, now: float = HIT + SETTLE) -> Loop:
+def fly(loop: Loop, vx: float, vy: float = 0.0, now: float = HIT + EXPERT.timing.settle) -> Loop:
     """Let pop fly with a velocity since its impact, robots at hand on both sides of its way, and look ahead."""
     loop.see(POP, (1.0 + vx * (now - HIT), vy * (now - HIT)), (vx, vy))
     loop.see(SNAP, (2.0, -1.5))
@@ -86,7 +87,7 @@ def test_hit_inside_what_the_knot_demands_rather_than_at_the_planned_place() -> 
 
 
 def test_impact_that_is_near_keeps_its_time() -> None:
-    for now, moved in ((30 - FROZEN, True), (30 - FROZEN + 0.1, False)):
+    for now, moved in ((30 - EXPERT.retiming.frozen, True), (30 - EXPERT.retiming.frozen + 0.1, False)):
         loop = fly(Loop(options=VARIANTS["with_retiming"]), 0.08, now=now)
         assert (loop.strike["time"] != 30.0) == moved
 
@@ -111,18 +112,18 @@ def test_variants_without_retiming_keep_the_planned_times(variant: str) -> None:
 
 def test_time_is_left_for_all_later_impacts() -> None:
     loop = Loop()
-    last = HORIZON * (1 - RESERVE_SHARE)
-    assert compute_reserve(loop.table, loop.memory, K, 2) == last
-    assert compute_reserve(loop.table, loop.memory, K, 1) == pytest.approx(last - 1.5 / CRUISE)
+    last = HORIZON * (1 - EXPERT.retiming.reserve_share)
+    assert compute_reserve(loop.table, loop.memory, OPTIONS, K, 2) == last
+    assert compute_reserve(loop.table, loop.memory, OPTIONS, K, 1) == pytest.approx(last - 1.5 / EXPERT.aim.cruise)
     slow = fly(Loop(options=VARIANTS["with_retiming"]), 0.01)
-    assert slow.strike["time"] <= last - 1.5 / CRUISE + 1e-9
+    assert slow.strike["time"] <= last - 1.5 / EXPERT.aim.cruise + 1e-9
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_reachable_is_what_a_quintic_within_the_thrust_reaches(seed: int) -> None:
     rng, loop, outcomes = np.random.default_rng(seed), Loop(), []
     course, still = np.zeros((), COURSE)[()], np.zeros((1, 1, 6, 2))
-    most = EASE * 1.5 / 16.8
+    most = EXPERT.reach.ease * 1.5 / 16.8
     for _ in range(200):
         position, velocity = rng.uniform(-2, 2, 2), rng.uniform(-0.2, 0.2, 2)
         place, speed, span = rng.uniform(-2, 2, 2), rng.uniform(-0.3, 0.3, 2), rng.uniform(2.0, 20.0)
@@ -132,7 +133,7 @@ def test_reachable_is_what_a_quintic_within_the_thrust_reaches(seed: int) -> Non
         times = np.linspace(0.0, span, 400)
         motion = [evaluate_course(course, np.array([[0.0, 1.0]]), still, 0, t) for t in times]
         greatest = max(math.hypot(m[4], m[5]) for m in motion)
-        reachable = is_reachable(loop.table, loop.memory, K, SNAP, *place, *speed, span)
+        reachable = is_reachable(loop.table, loop.memory, OPTIONS, K, SNAP, *place, *speed, span)
         outcomes.append(reachable)
         if abs(greatest / most - 1) > 0.1:  # the compiled one looks at seven instants only
             assert reachable == (greatest < most), greatest / most
@@ -142,24 +143,26 @@ def test_reachable_is_what_a_quintic_within_the_thrust_reaches(seed: int) -> Non
 @pytest.mark.parametrize(("vy", "agent"), [(0.03, CRACKLE), (-0.03, SNAP)])
 def test_object_on_its_way_out_is_hit_once_more_from_the_right_side(vy: float, agent: int) -> None:
     loop = fly(Loop(options=FIXED), 0.1, vy)
-    now, strike = HIT + SETTLE, loop.strike
+    now, strike = HIT + EXPERT.timing.settle, loop.strike
     assert loop.count("inserted") == 1
     assert strike["is_inserted"]
     assert strike["robot"] == agent
-    assert np.isclose(strike["time"] - now, LEADS).any()
+    assert np.isclose(strike["time"] - now, INSERTION.leads).any()
     assert strike["index"] == 1  # the planned one is still to come
     assert strike["is_decided"]  # and only that one is corrected by a learner
-    assert loop.clock[1] >= strike["time"] + LEAST_LEG
+    assert loop.clock[1] >= strike["time"] + INSERTION.least_leg
     # The change of velocity points back into the band, and the robot is behind the object, which it reaches in time.
     normal = strike["reference_normal"]
     assert normal[1] * vy < 0
     place = np.array([1.0, 0.0]) + (strike["time"] - HIT) * np.array([0.1, vy])
     robot = loop.memory.filter[K, agent]["position"]
-    assert (place - robot) @ normal / np.linalg.norm(place - robot) > SIDE
+    assert (place - robot) @ normal / np.linalg.norm(place - robot) > INSERTION.side
     velocity, gain = np.array([0.1, vy]), compute_pair_gain(loop.memory, K, agent, 0)
     change = math.hypot(*((np.array([3.0, 0.0]) - place) / (loop.clock[1] - strike["time"]) - velocity))
     minus = velocity + change / gain * normal  # the robot's at the impact
-    assert is_reachable(loop.table, loop.memory, K, agent, *(place - 0.4 * normal), *minus, strike["time"] - now)
+    assert is_reachable(
+        loop.table, loop.memory, OPTIONS, K, agent, *(place - 0.4 * normal), *minus, strike["time"] - now
+    )
 
 
 @pytest.mark.parametrize(("vy", "inserted"), [(0.03, 0), (0.06, 1)])
@@ -174,17 +177,17 @@ def test_earlier_impact_is_preferred_to_one_more(vy: float, inserted: int) -> No
 
 def test_new_plan_is_wanted_where_no_robot_can_hit_the_object_once_more_for_long() -> None:
     """At 200 mm/s the object has passed both robots before one of them is as fast."""
-    loop, begin = Loop(), HIT + SETTLE
-    for since in np.arange(0.0, LONG_ASTRAY + 2.0, 0.5):
+    loop, begin = Loop(), HIT + EXPERT.timing.settle
+    for since in np.arange(0.0, INSERTION.long_astray + 2.0, 0.5):
         fly(loop, 0.1, 0.2, now=begin + since)
-        assert loop.count("stranded") == (since >= LONG_ASTRAY)
-        assert loop.memory.wanted[K] == (begin + LONG_ASTRAY if since >= LONG_ASTRAY else math.inf)
+        assert loop.count("stranded") == (since >= INSERTION.long_astray)
+        assert loop.memory.wanted[K] == (begin + INSERTION.long_astray if since >= INSERTION.long_astray else math.inf)
     assert loop.count("inserted") == 0
 
 
 def test_object_that_came_back_in_between_was_not_astray_for_long() -> None:
-    loop, begin = Loop(), HIT + SETTLE
-    for since in np.arange(0.0, LONG_ASTRAY + 1.0, 0.5):
+    loop, begin = Loop(), HIT + EXPERT.timing.settle
+    for since in np.arange(0.0, INSERTION.long_astray + 1.0, 0.5):
         fly(loop, 0.1, 0.0 if since == 2.0 else 0.2, now=begin + since)
     assert loop.count("stranded") == 0
 
@@ -194,7 +197,7 @@ def test_only_robots_that_can_be_there_in_time_hit_once_more() -> None:
     loop.see(POP, (1.15, 0.045), (0.1, 0.03))
     loop.see(SNAP, (2.0, -1.5))
     loop.see(CRACKLE, (2.0, 40.0))
-    loop.look(HIT + SETTLE)
+    loop.look(HIT + EXPERT.timing.settle)
     assert loop.count("inserted") == 0
     assert not loop.strike["is_inserted"]
     assert loop.strike["robot"] == CRACKLE
@@ -216,10 +219,10 @@ def test_robot_on_its_way_to_another_impact_does_not_hit_once_more() -> None:
 def test_not_before_the_first_impact_and_not_more_often_than_four_times() -> None:
     assert fly(Loop(options=FIXED, hit=False), 0.1, 0.03).count("inserted") == 0
     loop = Loop(options=FIXED)
-    for k in range(2 * MOST_INSERTED):
+    for k in range(2 * INSERTION.most):
         set_fields(loop.strike, is_inserted=False, robot=CRACKLE, time=loop.clock[1])
-        fly(loop, 0.1, 0.03 * (-1) ** k, now=HIT + SETTLE + k)
-    assert loop.count("inserted") == MOST_INSERTED
+        fly(loop, 0.1, 0.03 * (-1) ** k, now=HIT + EXPERT.timing.settle + k)
+    assert loop.count("inserted") == INSERTION.most
 
 
 def test_uncertain_flight_is_given_the_benefit_of_the_doubt() -> None:
@@ -229,7 +232,7 @@ def test_uncertain_flight_is_given_the_benefit_of_the_doubt() -> None:
         loop.see(POP, (1.15, 0.045), (0.1, 0.03))
         loop.memory.filter[K, POP]["P_vv"] = deviation**2  # of its velocity [m/s]
         loop.see(CRACKLE, (2.0, 1.5))
-        loop.look(HIT + SETTLE)
+        loop.look(HIT + EXPERT.timing.settle)
         assert loop.count("inserted") == inserted
 
 

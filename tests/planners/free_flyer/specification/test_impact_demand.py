@@ -11,7 +11,7 @@ import pytest
 from impact_envs import load_scenario
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
-from planners.free_flyer.belief.plan_table import CLOSE, DEPTH, FACES, OPEN, make_plan_table
+from planners.free_flyer.belief.plan_table import make_plan_table
 from planners.free_flyer.specification.impact_demand import Knot, find_knots, find_own_faces
 from planners.plan import Plan, PlannedImpact
 
@@ -221,18 +221,20 @@ def test_script_knows_how_deep_the_plan_lies(
 ) -> None:
     scenario = load(name)
     table, knots = make_plan_table(scenario, lay_plan(scenario, places)), knots_of(scenario, places)
-    np.testing.assert_allclose(table.knot[:, DEPTH], depths, atol=1e-12)
-    assert [tuple(row) for row in table.knot[:, [OPEN, CLOSE]]] == [knot.window for knot in knots]
+    np.testing.assert_allclose(table.knot["depth"], depths, atol=1e-12)
+    assert list(zip(table.knot["opens"], table.knot["closes"], strict=True)) == [knot.window for knot in knots]
     for i, knot in enumerate(knots):
-        assert table.knot[i, FACES] == len(knot.faces)
-        np.testing.assert_array_equal(table.face[i, : len(knot.faces)].reshape(-1, 3), np.reshape(knot.faces, (-1, 3)))
+        assert table.knot[i]["faces"] == len(knot.faces)
+        faces = [(*face["normal"], face["offset"]) for face in table.face[i, : len(knot.faces)]]
+        np.testing.assert_array_equal(np.reshape(faces, (-1, 3)), np.reshape(knot.faces, (-1, 3)))
 
 
 def test_script_measures_in_metres_whatever_the_formula_multiplies_by() -> None:
     scenario = load("pong", "G[0,100] 3 * pop.x + 4 * pop.y <= 30")
     table = make_plan_table(scenario, lay_plan(scenario, PONG))
-    np.testing.assert_allclose(table.face[0, 0], [0.6, 0.8, 6])
-    assert table.knot[0, DEPTH] == pytest.approx(6 - 0.6 * 1.25 + 0.8 * 0.75)
+    np.testing.assert_allclose(table.face[0, 0]["normal"], [0.6, 0.8])
+    assert table.face[0, 0]["offset"] == pytest.approx(6)
+    assert table.knot[0]["depth"] == pytest.approx(6 - 0.6 * 1.25 + 0.8 * 0.75)
 
 
 def test_script_keeps_robots_off_the_walls_of_the_world() -> None:
@@ -241,4 +243,5 @@ def test_script_keeps_robots_off_the_walls_of_the_world() -> None:
     # The world is [-1, 2] x [-0.75, 4.5]; touching with a radius of 0.2 m counts as 0.1 m inside.
     walls = {(-1, 0, 0.9), (0, -1, 0.65), (1, 0, 1.9), (0, 1, 4.4)}
     for faces in table.own:
-        assert {tuple(float(value) for value in np.round(row, 12) + 0.0) for row in faces} == walls
+        rows = [(*face["normal"], face["offset"]) for face in faces]
+        assert {tuple(float(value) for value in np.round(row, 12) + 0.0) for row in rows} == walls
