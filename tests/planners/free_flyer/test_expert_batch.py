@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from impact_envs import InputError, parallel_env, vector_env
+from impact_envs import InputError, list_scenarios, load_scenario, parallel_env, vector_env
 from impact_envs.env import ImpactEnv
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.free_flyer.belief.options import EXPERT
@@ -176,18 +176,8 @@ def test_variants_and_options_are_those_of_the_single_expert() -> None:
     assert np.abs(alone[0] - alone[1]).max() > 1e-6
 
 
-@pytest.mark.parametrize("name", ["throw_and_catch", "corridor", "pong", "pingpong"])
+@pytest.mark.parametrize("name", [name for name in list_scenarios() if load_scenario(name).domain == "free_flyer"])
 def test_nothing_is_inserted_retried_or_lost_where_the_world_is_as_believed(name: str) -> None:
-    check_nominal(name)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["obstacle_avoidance", "exchange", "relay", "crew"])
-def test_nothing_is_inserted_retried_or_lost_in_long_scenarios(name: str) -> None:
-    check_nominal(name)
-
-
-def check_nominal(name: str) -> None:
     scenario, plan = load(name), plan_of(name)
     success, counts = evaluate(scenario, plan, None, 1)
     assert success == 1.0
@@ -196,14 +186,12 @@ def check_nominal(name: str) -> None:
     assert counts["reoptimised"] == len(plan.impacts) - len({impact.object for impact in plan.impacts})
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["throw_and_catch", "corridor", "pong", "obstacle_avoidance"])
 def test_expert_succeeds_with_everything_disturbed(name: str) -> None:
     world, plan = load(name).suite("all"), plan_of(name)
     assert evaluate(world, plan, None, TUNING)[0] >= LEAST
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["corridor", "pong"])
 def test_papers_replanner_succeeds_less_often(name: str) -> None:
     world, plan = load(name).suite("all"), plan_of(name)
