@@ -37,7 +37,7 @@ def make_plan(scenario: str | Path | Scenario, objective: str = "robustness", **
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario.
         objective: what to maximise; free flyers have "robustness" and "impact_uncertainty".
-        options: of the domain's planner (``max_impacts``, ``time_limit``, ``solver``).
+        options: of the domain's planner (``max_impacts``, ``time_limit``, ``solver``, ``reserves``, ``options``).
 
     Returns:
         A validated Plan with its proven bound.

@@ -94,7 +94,7 @@ class Model:
 
     Args:
         name: what failures call the problem.
-        elastic: rows of a named part may be violated by the part's slack variable.
+        elastic: rows of a named part may be violated by the slack variable of the part.
     """
 
     name: str
@@ -111,11 +111,11 @@ class Model:
 
     @contextmanager
     def part(self, name: str, largest: float) -> Iterator[None]:
-        """Name the rows added inside; in an elastic model one slack variable, shared by them, loosens them all.
+        """Name the rows added inside; in an elastic model they share one slack variable that loosens them all.
 
         Args:
-            name: of the part, as the user knows it; the same name again continues the part.
-            largest: slack [unit of the rows].
+            name: of the part, as the user knows it; a name that is used again continues its part.
+            largest: greatest slack [unit of the rows].
         """
         outer = self._slack
         if self.elastic:
@@ -128,7 +128,7 @@ class Model:
             self._slack = outer
 
     def variable(self, lower: float, upper: float, integer: bool = False, rigid: bool = False) -> Affine:
-        """Add a variable between finite bounds and return it as an expression; rows of rigid ones do not give way."""
+        """Add a variable between finite bounds and return it as an expression; rows of rigid ones get no slack."""
         if rigid:
             self.rigid.add(len(self.lower))
         self.lower.append(float(lower))
@@ -157,7 +157,7 @@ class Model:
     def require(self, expression: Affine | float, unless: Affine | float = 0.0) -> None:
         """Add the row expression <= M * unless, where M is the largest value the expression can take.
 
-        The row binds when `unless` is 0; it is dropped when the variable bounds imply it.
+        The row binds where `unless` is 0; it is left out if the variable bounds imply it.
 
         Args:
             expression: what must not be positive.
@@ -169,7 +169,7 @@ class Model:
         self._require(self.loosened(expression), unless)
 
     def loosened(self, expression: Affine | float) -> Affine | float:
-        """Return the expression as `require` bounds it: in an elastic model less the slack of the current part."""
+        """Return the expression that `require` bounds: in an elastic model, less the slack of the current part."""
         if self._slack is None or (isinstance(expression, Affine) and self.rigid.issuperset(expression.coefficients)):
             return expression
         return expression - self._slack

@@ -117,18 +117,18 @@ class Plan:
         robustness: STL robustness of the whole formula over the centres of all bodies [m].
         bound: proven upper bound of the robustness of any plan, with any number of impacts [m].
         gap: (bound - robustness) / max(1, |bound|); 0 once below the planner's tolerance of a micrometre.
-        effort: sum over the legs between events of |displacement|^2 / duration, of all bodies [m^2/s].
-        effort_bound: proven lower bound of the effort at this robustness, number of impacts and these
-            reserves; None: none was proven.
+        effort: path cost: sum over all bodies and legs between events of |displacement|^2 / duration [m^2/s].
+        effort_bound: proven lower bound of the path cost at this robustness, number of impacts and these reserves;
+            None: none was proven.
         impacts: planned impacts in the order of time.
         robots: curve of every robot's centre, over [0, T].
         objects: curve of every object's centre, over [0, T].
         solve_seconds: wall time of the whole planning [s].
         stage_seconds: wall time of each stage [s].
         validated: True if the independent simulation agreed with every promise.
-        deviation: permissible deviation delta of an object's velocity after an impact, per axis, that the plan
-            bears; None: the plan was not made for any [m/s].
-        deviation_bound: proven upper bound of the deviation any such plan bears [m/s].
+        deviation: permissible deviation delta of an object's velocity after an impact, per axis; None: the plan was not
+            made for any [m/s].
+        deviation_bound: proven upper bound of the deviation of any such plan [m/s].
         tubes: object to the boxes it stays in under such deviations.
         responses: robot to its curves for the vertices of the boxes: (x-, y-), (x-, y+), (x+, y-), (x+, y+).
 

@@ -1,7 +1,7 @@
-"""An independent simulation of a plan: curves are evaluated, objects move by the impact law alone.
+"""An independent simulation of a plan: robots follow their curves, objects move by the impact law alone.
 
-Nothing of the planner is used: velocities are finite differences of positions, impacts follow from where the
-bodies are, the formula is evaluated on samples.
+It uses nothing of the planner: velocities are finite differences of positions, impacts follow from where the bodies
+are, the formula is evaluated on samples.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ DIFFERENCE = 1e-4  # step of one-sided velocity differences [s]
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Hold how far a simulated plan may be from its promises.
+    """Hold by how much a simulated plan may miss its promises.
 
     Args:
         position: of objects and contacts [m].
         velocity: after impacts, and at the ends [m/s].
-        clearance: by which bodies may be nearer than touching [m].
-        robustness: by which the sampled formula may fall short [m].
-        share: by which speed and force limits may be exceeded.
+        clearance: overlap of bodies [m].
+        robustness: of the sampled formula [m].
+        share: relative excess of speed and force limits.
     """
 
     position: float = 1e-4
@@ -46,7 +46,7 @@ def validate_plan(scenario: FreeFlyerScenario, plan: Plan, tolerances: Tolerance
     Args:
         scenario: believed physics, limits and formula.
         plan: any plan for its robots and objects.
-        tolerances: how far it may be off.
+        tolerances: by how much it may miss its promises.
 
     Returns:
         Robustness of the formula over the simulated centres of all bodies [m].
@@ -203,7 +203,7 @@ def _check_motion(
             _reject(f"{name} needs {strongest:.3g} N, its limit is {robot.force_limit:g} N")
     for name, body in scenario.objects.items():
         fastest = float(np.abs(np.diff(plan.objects[name].position(times), axis=0)).max() / step)
-        # What it starts with, a plan cannot change.
+        # A plan cannot change the speed with which the object starts.
         limit = max(body.speed_limit, *map(abs, body.start_velocity))
         if fastest > limit * (1 + tolerances.share):
             _reject(f"{name} reaches {fastest:.3g} m/s, its limit is {limit:g} m/s")

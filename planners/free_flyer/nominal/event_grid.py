@@ -29,7 +29,7 @@ from planners.path_cost import Displacement
 
 # The greatest component of each of the four axes against a direction, or against one within 22.5 degrees of it.
 BACKWARD = np.cos(np.maximum(0.0, np.arccos(np.clip(-DIRECTIONS @ AXES.T, -1.0, 1.0)) - np.deg2rad(22.5)))
-# Half-angles of the cone round its direction in which an impulse lies, as tangents. One of the eight directions is
+# Half-angles of the cone around its direction in which an impulse lies, as tangents. One of the eight directions is
 # always within 22.5 degrees of a throw from rest or a catch; a turn needs room for the legs before and after it.
 CONE_AT_REST, CONE_TURNING = np.tan(np.deg2rad([30.0, 60.0]))
 Point = np.ndarray  # shape (2,), of numbers or expressions [m]

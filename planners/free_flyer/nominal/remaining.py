@@ -55,9 +55,6 @@ class Repair:
     sweeps: int = 4
 
 
-REPAIR = Repair()
-
-
 @dataclass(frozen=True)
 class Rest:
     """Hold what is left of a formula.
@@ -104,6 +101,7 @@ def make_remaining_scenario(
     positions: Mapping[str, np.ndarray],
     velocities: Mapping[str, np.ndarray],
     past: Past,
+    repair: Repair = Repair(),
 ) -> FreeFlyerScenario:
     """Make the scenario of what is left of a task, in time that starts now.
 
@@ -116,6 +114,7 @@ def make_remaining_scenario(
         positions: of every body, each shape (2,) [m].
         velocities: of every body, each shape (2,) [m/s].
         past: where the bodies have been; the last sample is the present one.
+        repair: how far the state may be changed.
 
     Returns:
         The scenario, with starts, velocities, horizon and formula of its own.
@@ -123,12 +122,12 @@ def make_remaining_scenario(
     Raises:
         InputError: nothing remains, or the formula's rest cannot be said.
     """
-    parts = progress_formula(scenario, now, past).parts
+    parts = progress_formula(scenario, now, past, repair).parts
     places = {name: np.array(positions[name], dtype=float) for name in scenario.bodies}
-    speeds = {name: _read_velocity(scenario, name, velocities[name]) for name in scenario.bodies}
-    for _ in range(REPAIR.sweeps):
-        _project_places(scenario, parts, places)
-    _slow_robots(scenario, places, speeds)
+    speeds = {name: _read_velocity(scenario, name, velocities[name], repair) for name in scenario.bodies}
+    for _ in range(repair.sweeps):
+        _project_places(scenario, parts, places, repair)
+    _slow_robots(scenario, places, speeds, repair)
     values: dict[str, object] = {
         "horizon": round(scenario.horizon - now, 9),
         "formula": " & ".join(f"({part})" for part in parts) or _write_true(scenario),
@@ -140,13 +139,14 @@ def make_remaining_scenario(
     return scenario.override(values)
 
 
-def progress_formula(scenario: FreeFlyerScenario, now: float, past: Past) -> Rest:
+def progress_formula(scenario: FreeFlyerScenario, now: float, past: Past, repair: Repair = Repair()) -> Rest:
     """Return what is left of a scenario's formula, conjunct by conjunct.
 
     Args:
         scenario: the whole task.
         now: on a control step [s].
         past: where the bodies have been; the last sample is the present one.
+        repair: by how much the present state may miss areas that always hold.
 
     Raises:
         InputError: nothing remains, or the formula's rest cannot be said.
@@ -167,7 +167,7 @@ def progress_formula(scenario: FreeFlyerScenario, now: float, past: Past) -> Res
     violated: list[str] = []
     for part in _list_conjuncts(scenario.specification.expand(scenario.bodies)):
         if isinstance(part, Always) and is_state(part.child):
-            found, missed = _progress_always(part, trace, now)
+            found, missed = _progress_always(part, trace, now, repair)
         else:
             found = progress(part, trace)
             missed = found is False
@@ -190,15 +190,15 @@ def _list_conjuncts(formula: Formula) -> Iterator[Formula]:
         yield formula
 
 
-def _progress_always(part: Always, trace: Trace, now: float) -> tuple[Formula | bool, bool]:
+def _progress_always(part: Always, trace: Trace, now: float, repair: Repair) -> tuple[Formula | bool, bool]:
     """Return what is left of an "always", and whether the past violated it; one that holds now is kept all the same."""
-    found = progress(part, trace, REPAIR.forgiven)
+    found = progress(part, trace, repair.forgiven)
     violated = found is False
     if violated and part.interval[1] > now:
         found = Always((0.0, round(part.interval[1] - now, 9)), part.child)
     if isinstance(found, Always) and found.interval[0] == 0.0:
         present = float(robustness_signal(part.child, trace)[-1])
-        if present < -REPAIR.forgiven:
+        if present < -repair.forgiven:
             return False, True
     return found, violated
 
@@ -208,19 +208,21 @@ def _write_true(scenario: FreeFlyerScenario) -> str:
     return f"G[0,0] {scenario.agents[0]}.x >= {scenario.world.lower[0] - 2.0 * scenario.world.diagonal:g}"
 
 
-def _read_velocity(scenario: FreeFlyerScenario, name: str, velocity: np.ndarray) -> np.ndarray:
+def _read_velocity(scenario: FreeFlyerScenario, name: str, velocity: np.ndarray, repair: Repair) -> np.ndarray:
     """Return a velocity: a robot's within its limit, an object's zero where it may be an error of the estimate."""
     body, found = scenario.body(name), np.array(velocity, dtype=float)
     if isinstance(body, Robot):
         return np.clip(found, -body.speed_limit, body.speed_limit)
-    return found if np.linalg.norm(found) > REPAIR.still else np.zeros(2)
+    return found if np.linalg.norm(found) > repair.still else np.zeros(2)
 
 
-def _project_places(scenario: FreeFlyerScenario, parts: tuple[Formula, ...], places: dict[str, np.ndarray]) -> None:
+def _project_places(
+    scenario: FreeFlyerScenario, parts: tuple[Formula, ...], places: dict[str, np.ndarray], repair: Repair
+) -> None:
     """Project bodies into their current areas and the world, then separate overlaps, moving robots first."""
     for part in parts:
         if isinstance(part, Always) and part.interval[0] == 0.0 and isinstance(part.child, In):
-            _project_into_area(scenario, part.child, places)
+            _project_into_area(scenario, part.child, places, repair)
     for name in scenario.bodies:
         inset = scenario.body(name).radius
         places[name] = np.clip(
@@ -242,21 +244,25 @@ def _project_places(scenario: FreeFlyerScenario, parts: tuple[Formula, ...], pla
             places[second] = places[second] + (1.0 - share) * short * normal
 
 
-def _project_into_area(scenario: FreeFlyerScenario, predicate: In, places: dict[str, np.ndarray]) -> None:
+def _project_into_area(
+    scenario: FreeFlyerScenario, predicate: In, places: dict[str, np.ndarray], repair: Repair
+) -> None:
     """Move a body that misses an area by little a short way inside, or out of an area to avoid."""
     H, b = scenario.areas[predicate.area].halfspaces()
     beyond = H @ places[predicate.body] - b
     if predicate.negated:
-        if -REPAIR.forgiven <= beyond.max() < REPAIR.inside:
-            places[predicate.body] = places[predicate.body] + (REPAIR.inside - beyond.max()) * H[beyond.argmax()]
+        if -repair.forgiven <= beyond.max() < repair.inside:
+            places[predicate.body] = places[predicate.body] + (repair.inside - beyond.max()) * H[beyond.argmax()]
         return
     for face, bound in zip(H, b, strict=True):
         excess = float(face @ places[predicate.body] - bound)
-        if -REPAIR.inside < excess <= REPAIR.forgiven:
-            places[predicate.body] = places[predicate.body] - (excess + REPAIR.inside) * face
+        if -repair.inside < excess <= repair.forgiven:
+            places[predicate.body] = places[predicate.body] - (excess + repair.inside) * face
 
 
-def _slow_robots(scenario: FreeFlyerScenario, places: Mapping[str, np.ndarray], speeds: dict[str, np.ndarray]) -> None:
+def _slow_robots(
+    scenario: FreeFlyerScenario, places: Mapping[str, np.ndarray], speeds: dict[str, np.ndarray], repair: Repair
+) -> None:
     """Reduce a closing speed that a robot cannot lose before contact, where it may be an error of the estimate."""
     for name, robot in scenario.robots.items():
         strength = RESERVES.acceleration(robot)
@@ -269,7 +275,7 @@ def _slow_robots(scenario: FreeFlyerScenario, places: Mapping[str, np.ndarray], 
             closing = float((speeds[name] - speeds[other]) @ normal)
             gap = max(0.0, apart - robot.radius - scenario.body(other).radius)
             most = float(np.sqrt(2.0 * strength * gap))
-            if most < closing <= most + REPAIR.graze:
+            if most < closing <= most + repair.graze:
                 speeds[name] = speeds[name] - (closing - most) * normal
 
 

@@ -1,4 +1,4 @@
-"""Plans of ours as published ones, and published ones as ours: curves over physical time."""
+"""Conversion of plans into the published form and back: curves over physical time."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from planners.free_flyer.published.impact import read_deviation, read_impacts
 from planners.free_flyer.validation import compute_robustness
 from planners.plan import Plan, PlannedImpact, Tube
 
-FIT = 5e-7  # how far a piece may be from the published curve at samples [m]
+FIT = 5e-7  # greatest distance of a piece from the published curve at samples [m]
 SAMPLES = np.arange(1, 16) / 16  # of a piece, in its parameter
-HALVINGS = 20
+HALVINGS = 20  # greatest number, of a curve
 
 
 def make_published_plan(plan: Plan) -> PublishedPlan:
     """Return a plan in the form of the published ones: r are the control points, h is affine.
 
-    The published form has points that meet; here r are the centres of bodies that touch. It has one path per
+    In the published form bodies are points that meet; here r are the centres of bodies that touch. It has one path per
     robot, so responses are left out.
 
     Args:
-        plan: whose impacts are at ends of curves.
+        plan: its impacts are at ends of curves.
 
     Returns:
         The same motions; curves of objects are cut where their boxes change.
@@ -48,18 +48,18 @@ def make_published_plan(plan: Plan) -> PublishedPlan:
 
 
 def convert_published_plan(published: PublishedPlan, scenario: FreeFlyerScenario) -> Plan:
-    """Return a published plan as a plan of ours, for execution and pictures.
+    """Return a published plan as a `Plan`, for execution and pictures.
 
     Robots' curves become quintic pieces with the same position, velocity and acceleration at their ends, halved
     until they agree to within a micrometre; objects' curves are exact. Where the scenario lasts longer than the plan,
-    every body goes on at its last velocity.
+    every body keeps its last velocity.
 
     Args:
         published: to convert.
         scenario: whose bodies and formula the plan is judged with.
 
     Returns:
-        A plan that nothing is proven of: its bound is the world's diagonal, and it is not validated.
+        A plan of which nothing is proven: its bound is the world's diagonal, and it is not validated.
 
     Raises:
         InputError: other bodies than the scenario's, a longer horizon, or labels that do not match.
@@ -202,14 +202,14 @@ def _evaluate_motion(r: np.ndarray, h: np.ndarray, s: float) -> tuple[float, np.
 
 
 def _prolong_curve(curve: Curve, horizon: float) -> Curve:
-    """Return a curve that goes on at its last velocity."""
+    """Return a curve that keeps its last velocity up to a horizon [s]."""
     end, velocity = curve.points[-1, -1], curve.velocity(curve.times[-1], "left")
     share = np.linspace(0.0, horizon - curve.times[-1], curve.degree + 1)[:, None]
     return Curve(np.append(curve.times, horizon), np.concatenate([curve.points, (end + share * velocity)[None]]))
 
 
 def _prolong_tube(tube: Tube, horizon: float) -> Tube:
-    """Return boxes that go on at their last velocities, whose half widths add to those of position."""
+    """Return boxes that keep their last velocities, whose half widths add to those of position."""
     last = tube.end[-1].copy()
     last[:, :2] += (horizon - tube.times[-1]) * last[:, 2:]
     return Tube(

@@ -11,9 +11,9 @@ from planners.bezier import Array, Side, read_array
 from planners.plan import Tube
 
 LABELS = ("none", "pre", "post")
-JUMP = 1e-6  # by which curves that join, and bodies at their impact, may be apart [m, s]
+JUMP = 1e-6  # greatest gap between curves that join, and between bodies at their impact [m, s]
 SOLVED = 1e-13  # residual of h(s) = t, relative to the horizon
-ITERATIONS = 100
+ITERATIONS = 100  # greatest number, of Newton's method
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ class PublishedBody:
             Its name; None where nothing is hit.
 
         Raises:
-            InputError: the labels tell of an impact, but not with whom.
+            InputError: the labels state an impact, but not with which body.
         """
         if self.ids[joint] == "pre":
             return self.other_names[joint]

@@ -123,7 +123,7 @@ class BezierPlan:
 
     @property
     def warning(self) -> str | None:
-        """Return what is wrong with the physics of the plan, None if nothing is."""
+        """Return what is wrong with the physics of the plan; None: nothing."""
         if self.is_exact:
             return None
         return (
@@ -178,7 +178,7 @@ def make_bezier_plan(
         options: form of the encoding.
 
     Returns:
-        The best plan found, with its bound and with how far it is from Eq. (5).
+        The best plan found, with its bound and its error of Eq. (5).
 
     Raises:
         InputError: bad numbers or names, a formula of an unsupported form, or a solver that is not there.

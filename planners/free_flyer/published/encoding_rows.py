@@ -51,7 +51,7 @@ class Clause:
         start: of the window [s].
         end: of the window [s].
         always: whether all instants of the window are meant, or some.
-        scored: whether it counts into the robustness.
+        scored: whether it counts for the robustness.
     """
 
     predicate: In
@@ -246,7 +246,7 @@ def _require_zero(model: Model, rows: list[Affine | float], unless: Affine) -> N
 def _add_clause(bezier: BezierModel, scenario: FreeFlyerScenario, clause: Clause) -> None:
     """Add a conjunct: Eq. (21) or (22) on every curve that meets the window, or the end of one curve in the area.
 
-    "Eventually" asks for a curve's end, as the published code does: a moving point is at the best place of an area
+    "Eventually" requires the end of a curve, as in the published code: a moving point is at the best place of an area
     for an instant only.
     """
     faces, bounds = scenario.areas[clause.predicate.area].halfspaces()
@@ -259,7 +259,7 @@ def _add_clause(bezier: BezierModel, scenario: FreeFlyerScenario, clause: Clause
         return
     # Only the last curve reaches the horizon, as h increases.
     for k in range(len(h) - 1 if clause.start >= scenario.horizon else 0, len(h)):
-        # A window that a curve only touches at its end is missed by a control period to be sure.
+        # A curve is outside a window only if it misses it by a control period.
         before = [h[k, -1] + scenario.control_period - clause.start]
         after = [clause.end + scenario.control_period - h[k, 0]]
         if clause.predicate.negated:

@@ -10,11 +10,11 @@ from planners.plan import PlannedImpact
 
 
 def read_impacts(plan: PublishedPlan) -> tuple[PlannedImpact, ...]:
-    """Return the impacts that the labels tell of, with the velocities of the curves.
+    """Return the impacts that the labels state, with the velocities of the curves.
 
     Args:
-        plan: published bodies are points, so position and contact agree; where they do not, they give the normal,
-            elsewhere the change of the object's velocity does.
+        plan: published bodies are points, so position and contact agree and the change of the object's velocity gives
+            the normal; where they differ, they give the normal.
 
     Returns:
         Impacts in the order of time.

@@ -18,6 +18,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.errors import Infeasible
 from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.reserves import Reserves
+from planners.free_flyer.robust.conditions import Conditions
 from planners.free_flyer.specification.direction import AXES
 from planners.free_flyer.specification.grid import refine
 from planners.mixed_integer import Affine, Model
@@ -48,30 +49,6 @@ class PositionBox:
         """Return the greatest normal @ p over the box."""
         ends = [(self.upper if n > 0 else self.lower)[d] * n for d, n in enumerate(normal) if n != 0.0]
         return sum(ends[1:], ends[0])
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """Hold what a permissible deviation refers to.
-
-    Args:
-        gap: least time between impacts, and after the last one [s].
-        final_velocity: greatest speed per axis at the horizon of an object that has to rest [m/s].
-        initial: half widths of the box the object starts in [m].
-        margin: robustness that the boxes keep [m].
-        points: bodies have no extent: robots meet the object's centre, may pass through it, and may use their full
-            speed at impacts.
-        room: distance beyond its contact points within which a robot must not leave its areas, to come to a halt [m].
-        gather: the motions of a robot between two consecutive hits of its own must be able to meet in one point.
-    """
-
-    gap: float
-    final_velocity: float = 0.05
-    initial: tuple[float, float] = (0.0, 0.0)
-    margin: float = 0.0
-    points: bool = False
-    room: float = 0.0
-    gather: bool = True
 
 
 @dataclass(frozen=True)
@@ -382,7 +359,7 @@ def _add_contact_rows(grid: BoxGrid, scenario: FreeFlyerScenario, room: float) -
 
 
 def _cone_limits() -> tuple[np.ndarray, np.ndarray]:
-    """Return the least and greatest components of unit vectors in the cones round the axes, each shape (4, 2)."""
+    """Return the least and greatest components of unit vectors in the cones around the axes, each shape (4, 2)."""
     along, across = np.cos(HALF_ANGLE), np.sin(HALF_ANGLE)
     low = np.where(AXES > 0, along, np.where(AXES < 0, -1.0, -across))
     return low, -low[[1, 0, 3, 2]]

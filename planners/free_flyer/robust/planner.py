@@ -12,8 +12,8 @@ from planners.bezier import Curve
 from planners.budget import Budget
 from planners.errors import Infeasible, PlanningError
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.robust.box_grid import Conditions
 from planners.free_flyer.robust.box_sequence import BoxSequence, compute_arrival, compute_contacts
+from planners.free_flyer.robust.conditions import Conditions, check_conditions, make_conditions
 from planners.free_flyer.robust.deviation_search import DeviationOptimum, maximise_deviation
 from planners.free_flyer.robust.least_cost import RobustEvents, minimise_robust_cost
 from planners.free_flyer.robust.monte_carlo import check_responses
@@ -82,7 +82,7 @@ def make_impact_robust_plan(
     if conditions.points:
         conditions, scenario = replace(conditions, gather=False), _shrink(scenario)
     budget = Budget(time_limit)
-    _check_conditions(scenario, conditions)
+    check_conditions(scenario, conditions)
     _check_formula(scenario, reserves)
     demands = read_demands(scenario, reserves.wall)
     task = RobustTask(scenario, demands, conditions, reserves, time_grid, solver, options)
@@ -96,21 +96,6 @@ def make_impact_robust_plan(
                 raise
             task = replace(task, reserves=task.reserves.halved())
     return _plan_responses(task, optimum, budget)
-
-
-def make_conditions(
-    scenario: FreeFlyerScenario,
-    reserves: Reserves = Reserves(),  # noqa: B008 - frozen
-) -> Conditions:
-    """Return what a deviation refers to in a scenario; change it by `dataclasses.replace`.
-
-    Args:
-        scenario: of one object; says gap, final velocity and the box in which the object starts.
-        reserves: give the gap where the scenario does not.
-    """
-    body = next(iter(scenario.objects.values()))
-    gap = scenario.impact_gap or reserves.times(scenario.horizon)[1]
-    return Conditions(gap, body.final_speed, body.start_uncertainty)
 
 
 def _plan_responses(task: RobustTask, optimum: DeviationOptimum, budget: Budget) -> Plan:
@@ -248,22 +233,3 @@ def _check_formula(scenario: FreeFlyerScenario, reserves: Reserves) -> None:
         if len(need.bodies) > 1:
             wish = "this objective takes predicates about one body"
             raise InputError(f"{scenario.name}: formula: '{predicate}' is not supported; {wish}")
-
-
-def _check_conditions(scenario: FreeFlyerScenario, conditions: Conditions) -> None:
-    if not 0.0 < conditions.gap < scenario.horizon:
-        limits = f"above 0 and below the horizon {scenario.horizon} s"
-        raise InputError(f"gap (impact_gap) is {conditions.gap} s, it must be {limits}")
-    for key, values in (
-        ("final_velocity", (conditions.final_velocity,)),
-        ("initial", conditions.initial),
-        ("margin", (conditions.margin,)),
-    ):
-        if not all(np.isfinite(value) and value >= 0.0 for value in values):
-            raise InputError(f"{key} is {list(values)}, it must not be negative")
-    name, body = next(iter(scenario.objects.items()))
-    for d, half in enumerate(conditions.initial):
-        inset = body.radius + half
-        if not scenario.world.lower[d] + inset <= body.start[d] <= scenario.world.upper[d] - inset:
-            box = list(conditions.initial)
-            raise InputError(f"initial (start_uncertainty) is {box} m, {name} would start outside the world")

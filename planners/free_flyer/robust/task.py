@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.robust.box_grid import BoxGrid, Conditions, build_box_grid
+from planners.free_flyer.robust.box_grid import BoxGrid, build_box_grid
+from planners.free_flyer.robust.conditions import Conditions
 from planners.free_flyer.robust.side_rows import add_side_rows
 from planners.free_flyer.robust.zonotope_grid import build_zonotope_grid
 from planners.free_flyer.specification.formula_rows import add_demands

@@ -9,7 +9,8 @@ import numpy as np
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.robust.box_grid import BoxGrid, Conditions, ObjectLegs, PositionBox, make_grid
+from planners.free_flyer.robust.box_grid import BoxGrid, ObjectLegs, PositionBox, make_grid
+from planners.free_flyer.robust.conditions import Conditions
 from planners.mixed_integer import Affine, Model
 
 

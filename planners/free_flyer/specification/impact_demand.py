@@ -1,4 +1,4 @@
-"""What a plan's knots (the impacts of an object, and its end) owe the formula: where the object may be, and when."""
+"""The region and the time window that the formula requires at each impact of an object, and at its end."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from impact_envs.stl import Always, And, Eventually, Formula, Or, Predicate
 from planners.free_flyer.specification.requirement import Requirement, read_demands
 from planners.plan import Plan
 
-AT_REST = 1e-4  # speed below which an object stays where it is [m/s]
-ROUND_OFF = 1e-6  # of times [s]
+AT_REST = 1e-4  # speed below which an object counts as at rest [m/s]
+ROUND_OFF = 1e-6  # differences of times [s] and margins [m] that count as none
 
 
 @dataclass(eq=False)
@@ -25,9 +25,9 @@ class Knot:
     Attributes:
         time: planned [s].
         position: planned, of the object's centre, shape (2,) [m].
-        faces: rows (H, b) with H p <= b, shape (f, 3).
+        faces: rows (H, b) with H p <= b for the object's centre p, shape (f, 3).
         window: when the object may be here [s].
-        rests: the object stays here until the next knot.
+        rests: whether the object stays here until the next knot.
     """
 
     time: float
@@ -37,18 +37,18 @@ class Knot:
     rests: bool = False
 
     def narrow(self, start: float, end: float) -> None:
-        """Narrow the window."""
+        """Narrow the window to its part between two times [s]."""
         self.window = max(self.window[0], start), min(self.window[1], end)
 
 
 def find_knots(scenario: FreeFlyerScenario, plan: Plan, name: str) -> list[Knot]:
     """Return the knots of an object, with what the formula demands of its position there.
 
-    "Always" binds every knot in its window, an area to avoid by the face that the plan keeps to on the legs before and
-    after. "Eventually" binds the last of those knots in its window that serve it best; where the plan serves it between
-    knots, it binds none. Of a disjunction the part that the plan serves best counts. An object at rest until
-    its next knot is bound by that one's demands too. Demands on several bodies at once, and formulas the planner does
-    not take, bind nothing.
+    "Always" binds every knot in its window; an area to avoid binds it by the face beyond which the plan stays on the
+    legs before and after. "Eventually" binds the knot in its window that serves it best, the last of several equal
+    ones; if the plan serves it between knots only, it binds none. Of a disjunction, the part that the plan serves best
+    counts. A knot at which the object rests is also bound by the demands of the next one. Demands on several bodies at
+    once, and formulas that the planner does not take, bind nothing.
 
     Args:
         scenario: with its formula.
@@ -93,20 +93,20 @@ def find_own_faces(scenario: FreeFlyerScenario, name: str) -> list[np.ndarray]:
         return []
     faces: list[np.ndarray] = []
     for formula in demands.conjuncts.values():
-        for predicate in _always_at(formula, 0.0, 0.0, scenario.horizon):
+        for predicate in _list_always(formula, 0.0, 0.0, scenario.horizon):
             need = demands.predicates[predicate]
             if need.body == name and need.kind == "stay" and not need.others:
                 faces += list(np.column_stack([need.faces, need.bounds]))
     return faces
 
 
-def _always_at(formula: Formula, start: float, end: float, horizon: float) -> Iterator[Predicate]:
+def _list_always(formula: Formula, start: float, end: float, horizon: float) -> Iterator[Predicate]:
     match formula:
         case And(operands):
             for part in operands:
-                yield from _always_at(part, start, end, horizon)
+                yield from _list_always(part, start, end, horizon)
         case Always((lower, upper), child):
-            yield from _always_at(child, start + lower, end + upper, horizon)
+            yield from _list_always(child, start + lower, end + upper, horizon)
         case Predicate() if start <= ROUND_OFF and end >= horizon - ROUND_OFF:
             yield formula
 
@@ -118,7 +118,10 @@ def _bind(formula: Formula, start: float, end: float, knots: list[Knot], owned: 
             for part in operands:
                 _bind(part, start, end, knots, owned)
         case Or(operands):
-            served = [(_serve(part, owned, _at(start, end, knots)), i) for i, part in enumerate(operands)]
+            served = [
+                (_measure_margin(part, owned, _list_knots_between(start, end, knots)), i)
+                for i, part in enumerate(operands)
+            ]
             best = max(served)[1]
             _bind(operands[best], start, end, knots, owned)
         case Always((lower, upper), child):
@@ -132,8 +135,8 @@ def _bind(formula: Formula, start: float, end: float, knots: list[Knot], owned: 
 def _bind_best(
     formula: Formula, opens: float, closes: float, knots: list[Knot], owned: dict[Predicate, Requirement]
 ) -> None:
-    """Bind the last knot that serves best what has to hold once in a window, or comes to rest there in time."""
-    # Every object starts at rest; the end of a rest needs no look of its own.
+    """Bind the last of the best knots for what has to hold once in a window, or at which the object comes to rest."""
+    # Every object starts at rest. A knot that ends a rest belongs to that rest.
     stays: list[tuple[Knot | None, Knot]] = [(None, knots[0])]
     for before, knot, after in zip([None, *knots], knots, [*knots[1:], knots[-1]], strict=False):
         if knot.rests:
@@ -145,7 +148,7 @@ def _bind_best(
         for arrival, leaving in stays
         if (arrival is None or arrival.time <= closes + ROUND_OFF) and leaving.time >= opens - ROUND_OFF
     ]
-    margins = [_serve(formula, owned, [arrival or leaving]) for arrival, leaving in found]
+    margins = [_measure_margin(formula, owned, [arrival or leaving]) for arrival, leaving in found]
     if not found or max(margins) <= 0:
         return
     arrival, leaving = found[max(i for i, margin in enumerate(margins) if margin >= max(margins) - ROUND_OFF)]
@@ -153,14 +156,14 @@ def _bind_best(
         _bind(formula, knot.time, knot.time, knots, owned)
     inner = closes < knots[-1].time - ROUND_OFF
     if opens > ROUND_OFF or inner:
-        # An object that stays longer than it has to does no harm, but waiting for it would.
+        # It does no harm if the object stays longer than it has to, but waiting for it would.
         leaving.narrow(opens, closes if leaving.time <= closes + ROUND_OFF else np.inf)
     if arrival is not None and inner:
         arrival.narrow(0.0, closes)
 
 
 def _bind_throughout(need: Requirement, start: float, end: float, knots: list[Knot]) -> None:
-    inside = _at(start, end, knots)
+    inside = _list_knots_between(start, end, knots)
     table = np.column_stack([need.faces, need.bounds])
     if need.kind == "stay":
         for knot in inside:
@@ -174,17 +177,17 @@ def _bind_throughout(need: Requirement, start: float, end: float, knots: list[Kn
             knot.faces.append(face)
 
 
-def _at(start: float, end: float, knots: list[Knot]) -> list[Knot]:
+def _list_knots_between(start: float, end: float, knots: list[Knot]) -> list[Knot]:
     return [knot for knot in knots if start - ROUND_OFF <= knot.time <= end + ROUND_OFF]
 
 
-def _serve(formula: Formula, owned: dict[Predicate, Requirement], knots: list[Knot]) -> float:
-    """Return the least margin with which planned positions serve a formula, -inf where it cannot be said."""
+def _measure_margin(formula: Formula, owned: dict[Predicate, Requirement], knots: list[Knot]) -> float:
+    """Return the least margin with which planned positions serve a formula; -inf if that cannot be said."""
     match formula:
         case And(operands):
-            return min(_serve(part, owned, knots) for part in operands)
+            return min(_measure_margin(part, owned, knots) for part in operands)
         case Or(operands):
-            return max(_serve(part, owned, knots) for part in operands)
+            return max(_measure_margin(part, owned, knots) for part in operands)
         case Predicate() if formula in owned:
             need, sign = owned[formula], -1.0 if owned[formula].kind == "avoid" else 1.0
             margins = [need.bounds - need.faces @ knot.position for knot in knots]

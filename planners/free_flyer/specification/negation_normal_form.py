@@ -1,4 +1,4 @@
-"""Formulas with negations pushed down to predicates, as a planner reads them."""
+"""Negation normal form: formulas in which only predicates are negated, as a planner reads them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _MIRRORED = {"<=": ">", "<": ">=", ">=": "<", ">": "<="}
 
 @dataclass(frozen=True)
 class Release(Temporal):
-    """``not (not p U[a,b] not q)``: q holds in the interval, up to and at an instant at which p has held.
+    """``not (not p U[a,b] not q)``: q holds in the interval, or until and at an instant at which p holds.
 
     Equation: rho(t) = min_{tau in t+[a,b]} max(rho_q(tau), max_{s in [t, tau]} rho_p(s)). Source: the negation of
     Verhagen & Tumova, Eq. 2d.
@@ -25,7 +25,7 @@ class Release(Temporal):
 
     @property
     def children(self) -> tuple[Formula, ...]:
-        """Return what releases, and what must hold until then."""
+        """Return what releases, and what must hold until it does."""
         return (self.left, self.right)
 
     def rebuild(self, children: Sequence[Formula]) -> Formula:
@@ -75,7 +75,7 @@ def compute_normal_form(formula: Formula, negated: bool = False) -> Formula:
 
 
 def is_state(formula: Formula) -> bool:
-    """Return whether a formula speaks of one instant only.
+    """Return whether a formula is about one instant only.
 
     Args:
         formula: any.

@@ -1,4 +1,4 @@
-"""What a formula demands of bodies: its predicates as half-planes and distances, its normal form, its best value."""
+"""What a formula demands of bodies: its normal form, and its predicates as half-planes and distances."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ UNSUPPORTED = "it takes 'in', 'not in', distances and linear comparisons of posi
 class Requirement:
     """Hold what a predicate says about positions, and when it has to hold.
 
-    "stay": H p + sum_i H_i p_i <= b - rho, p the body's position and p_i those of others, rows of H jointly.
-    "avoid": H p >= b + rho in at least one row of H. "apart": |p - p_other| >= distance + rho.
+    "stay": H p + sum_i H_i p_i <= b - rho in all rows, where p is the body's position and p_i are those of others.
+    "avoid": H p >= b + rho in at least one row. "apart": |p - p_other| >= distance + rho.
 
     Args:
         kind: one of these.
         body: name of a robot or object.
-        text: the predicate as it is written, for messages.
+        text: the predicate as written, for messages.
         faces: H, shape (f, 2).
         bounds: b, shape (f,) [m].
         start: of the window in which it holds at all times [s].
         end: of the window; the start for a single instant [s].
-        scored: whether it counts into the robustness.
-        clearance: distance to keep from the area in any case [m]; avoid only.
-        others: further bodies to their H_i; for "apart" the other body, without meaning of H_i.
+        scored: whether it counts for the robustness.
+        clearance: distance to keep from the area at any robustness [m]; avoid only.
+        others: other bodies to their H_i; for "apart" the other body, whose H_i has no meaning.
         distance: to keep between the bodies [m]; apart only.
     """
 
@@ -52,7 +52,7 @@ class Requirement:
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Return every body it speaks of."""
+        """Return the names of all its bodies."""
         return (self.body, *self.others)
 
     def margin(self, rho: float) -> float:
@@ -65,10 +65,10 @@ class Demands:
     """Hold what a scenario demands of every plan.
 
     Args:
-        conjuncts: conjuncts of the formula as they are written, to their normal forms without ``all``.
-        predicates: predicates of the normal forms to what they require.
-        solids: to keep off solid obstacles at all times, where no conjunct says so; not scored.
-        largest: by which a plan can miss a predicate at most [m].
+        conjuncts: conjuncts of the formula as written, to their normal forms without ``all``.
+        predicates: predicates of the normal forms, to what they require.
+        solids: stay away from solid obstacles at all times, where no conjunct says so; not scored.
+        largest: greatest distance by which a plan can miss a predicate [m].
     """
 
     conjuncts: Mapping[str, Formula]
@@ -80,10 +80,10 @@ class Demands:
 def read_demands(scenario: FreeFlyerScenario, wall: float) -> Demands:
     r"""Return what the formula and the solid obstacles of a scenario demand.
 
-    Every operator of the parser is taken. Predicates: ``in`` and ``not in`` (a non-convex area is a disjunction
+    All operators of the parser are supported. Predicates: ``in`` and ``not in`` (a non-convex area is a disjunction
     of convex ones), linear comparisons of positions of any number of bodies, ``distance(a, b) >= d``, and
     ``distance(a, b) <= d``, which is narrowed to a regular polygon of 16 sides inside the circle: exact along the
-    axes, and by up to 2 % in between. Predicates about velocities and angles are refused: rho is a length.
+    axes, up to 2 % smaller in between. Predicates about velocities and angles are refused, for rho is a length.
 
     Args:
         scenario: with its formula.
@@ -104,7 +104,7 @@ def read_demands(scenario: FreeFlyerScenario, wall: float) -> Demands:
     solids = []
     for name, obstacle in scenario.obstacles.items():
         for body in scenario.bodies if obstacle.solid else ():
-            # Where the formula speaks of the obstacle, one face serves robustness and clearance.
+            # Where the formula names the obstacle, one face gives robustness and clearance.
             predicate = In(body, name, negated=True)
             inset = scenario.body(body).radius + wall
             if predicate in predicates:
@@ -116,7 +116,7 @@ def read_demands(scenario: FreeFlyerScenario, wall: float) -> Demands:
 
 
 def _hold_throughout(scenario: FreeFlyerScenario, formula: Formula, start: float, end: float) -> Iterator[str]:
-    """Return the predicates that hold over the whole horizon."""
+    """Yield the predicates that the formula holds over the whole horizon."""
     match formula:
         case And(operands):
             for part in operands:

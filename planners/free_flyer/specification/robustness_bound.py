@@ -1,4 +1,4 @@
-"""A robustness that no plan can exceed, from geometry alone."""
+"""A robustness that no plan can exceed, computed from geometry alone."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ TIME_LIMIT = 10.0  # of a linear program of three variables [s]
 def compute_geometric_bound(scenario: FreeFlyerScenario, demands: Demands, solver: str = "highs") -> float:
     """Return a robustness that no plan of any kind can exceed.
 
-    Predicates are bounded by the best place in the world (the inradius of an area to be in), and exactly at the
-    fixed starts and goals; operators pass bounds on as they pass on robustness.
+    A predicate is bounded by its value at the best place in the world (the inradius of an area to be in), and is exact
+    at fixed starts and goals. Operators combine bounds as they combine robustness.
 
     Args:
         scenario: world, starts and goals.
@@ -35,14 +35,14 @@ def compute_geometric_bound(scenario: FreeFlyerScenario, demands: Demands, solve
 
 
 class _Bound:
-    """Bound the least and the greatest robustness of a formula over a window of time, both from above."""
+    """Bound the least and the greatest robustness of a formula over a time window, both from above."""
 
     def __init__(self, scenario: FreeFlyerScenario, demands: Demands, solver: str) -> None:
         self.scenario, self.demands, self.solver = scenario, demands, solver
         self._places: dict[Predicate, float] = {}
 
     def least(self, formula: Formula, start: float, end: float) -> float:
-        """Return a bound of min over [start, end]: any instant of it gives one, and so does the greatest value."""
+        """Return a bound of min over [start, end]; the value at any instant is one, and so is the greatest value."""
         match formula:
             case And(operands):
                 return min(self.least(part, start, end) for part in operands)
@@ -76,7 +76,7 @@ class _Bound:
         raise TypeError(f"{type(formula).__name__} is not in normal form")
 
     def _predicate(self, predicate: Predicate, start: float, end: float) -> float:
-        """Return the exact value where bodies are fixed, the best place's otherwise."""
+        """Return the exact value where all bodies are fixed, elsewhere that of the best place."""
         bodies = {name: self.scenario.body(name) for name in predicate.bodies()}
         goals = {name: body.goal for name, body in bodies.items() if isinstance(body, Robot) and body.goal is not None}
         if start == end == 0.0:
@@ -112,5 +112,5 @@ def _compute_inradius(scenario: FreeFlyerScenario, need: Requirement, solver: st
     for distance in beyond:
         model.require(distance + rho)
     model.objective = -rho
-    # A bound from above stays one when it is rounded up.
+    # An upper bound remains one when it is rounded up.
     return float(np.round(-solve(model, TIME_LIMIT, solver=solver).objective + 5e-10, 9))

@@ -10,7 +10,7 @@ from planners import make_plan
 from planners.errors import Infeasible
 from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.robust.box_grid import Conditions
+from planners.free_flyer.robust.conditions import Conditions
 from planners.free_flyer.robust.deviation_search import compute_ceiling, maximise_deviation
 from planners.free_flyer.robust.task import RobustOptions, RobustTask
 from planners.free_flyer.specification.grid import GridSize

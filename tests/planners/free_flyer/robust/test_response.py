@@ -8,7 +8,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import load_scenario
 from planners.errors import SolverFailed
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.robust.box_grid import Conditions
+from planners.free_flyer.robust.conditions import Conditions
 from planners.free_flyer.robust.deviation_search import compute_ceiling, search_deviation
 from planners.free_flyer.robust.least_cost import minimise_robust_cost
 from planners.free_flyer.robust.monte_carlo import check_responses, draw_deviations, simulate_runs
@@ -148,7 +148,7 @@ def test_returns_end_in_unit_position_and_unit_slope(rest: int, event: int) -> N
     np.testing.assert_allclose(slope[:-1, -1], slope[1:, 0], atol=1e-12)
 
 
-@pytest.mark.parametrize(("restitution", "mass"), [(1.0, 16.8), (0.47, 8.0), (0.8, 30.0)])
+@pytest.mark.parametrize(("restitution", "mass"), [(1.0, 30.0), (0.47, 8.0)])
 def test_any_masses_and_restitution(restitution: float, mass: float) -> None:
     scenario = _scenario("throw_and_catch")
     objects = {name: body.model_copy(update={"mass": mass}) for name, body in scenario.objects.items()}

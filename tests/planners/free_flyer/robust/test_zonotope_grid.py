@@ -11,7 +11,7 @@ import pytest
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import build_scenario
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.robust.box_grid import Conditions
+from planners.free_flyer.robust.conditions import Conditions
 from planners.free_flyer.robust.deviation_search import maximise_deviation
 from planners.free_flyer.robust.task import RobustTask
 from planners.free_flyer.specification.requirement import read_demands
