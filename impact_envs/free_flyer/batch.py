@@ -13,7 +13,7 @@ from impact_envs.compiled import announce
 from impact_envs.domain import load_attribute
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from impact_envs.free_flyer.sensing import compute_memory_size, make_sensing
+from impact_envs.free_flyer.sensing import compute_memory_size, count_uniforms, make_sensing
 from impact_envs.free_flyer.step import (
     LEAVE,
     START,
@@ -232,14 +232,14 @@ class Batch(BatchViews):
         n, r, sensing, dtype, true = self.bodies, self.robots, self._sensing, self.dtype, self.scenario.true
         states: np.ndarray = np.zeros((count, n, 6), dtype)
         contacts: np.ndarray = np.zeros((count, r), dtype)
-        kept = compute_memory_size(sensing, n, r)
-        ideal = kept == 0 and sensing.noise == 0
+        kept, drawn = compute_memory_size(sensing, n, r), count_uniforms(sensing, n)
+        ideal = kept + drawn == 0
         memory = Memory(
             states=states,
             signals=states.reshape(count, 6 * n),
             contacts=contacts,
             streams=np.zeros((count, 4), np.uint64),
-            uniforms=np.zeros((count, 2 * n if sensing.noise > 0 else 0)),
+            uniforms=np.zeros((count, drawn)),
             samples=np.zeros((count, kept), dtype),
             measured=states if ideal else np.zeros_like(states),
             felt=contacts if ideal else np.zeros_like(contacts),

@@ -18,6 +18,7 @@ from impact_envs.free_flyer.sensing import (
     STATE_SIZE,
     TAIL_SIZE,
     compute_memory_size,
+    count_uniforms,
     make_sensing,
     sample_alone,
 )
@@ -50,7 +51,7 @@ class Sensors:
         """
         sensing = make_sensing(self._period, physics.true)
         self._sensing, self._rng, self._samples = tuple(sensing), rng, 0
-        self._uniforms = np.zeros((1, 2 * self._bodies if sensing.noise > 0 else 0))
+        self._uniforms = np.zeros((1, count_uniforms(sensing, self._bodies)))
         self._memory = np.zeros((1, compute_memory_size(sensing, self._bodies, self._robots)))
         self._ideal = self._memory.size + self._uniforms.size == 0
 

@@ -65,6 +65,11 @@ def compute_memory_size(sensing: Sensing, bodies: int, robots: int) -> int:
     return window + sensing.delay_steps * (STATE_SIZE * bodies + robots)
 
 
+def count_uniforms(sensing: Sensing, bodies: int) -> int:
+    """Return how many uniform numbers ``take_sample`` reads per world: two per body with noise."""
+    return 2 * bodies if sensing.noise > 0 else 0
+
+
 @inlined
 def take_sample(
     sensing: Sensing,
@@ -85,7 +90,7 @@ def take_sample(
         sample: number of the sample, 0 at the start of the episode.
         states: true [x, y, vx, vy, heading, omega] of all bodies, shape (worlds, bodies, 6).
         contacts: which robots felt an impact, shape (worlds, robots), 0 or 1.
-        uniforms: two numbers in [0, 1) per body, shape (worlds, 2 bodies); not read without noise.
+        uniforms: in [0, 1), shape (worlds, ``count_uniforms``).
         memory: shape (worlds, ``compute_memory_size``), changed in place.
         measured: takes the measured states, as old as the delay (the first ones until then), shape (worlds, bodies, 6).
         felt: takes the contacts of the same age, shape (worlds, robots).

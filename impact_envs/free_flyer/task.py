@@ -23,10 +23,9 @@ SIGNALS = ("x", "y", "vx", "vy", "heading", "omega")
 class FreeFlyerTask:
     """Intent of a free-flyer scenario.
 
-    Observation of a robot, float64, SI units, as measured: for itself, the other robots and the objects
-    ``x, y, vx, vy, cos(heading), sin(heading), omega`` [m, m/s, -, rad/s]; then ``contact`` (1 if its inertial unit
-    felt an impact in the last step), ``time / horizon``, ``robustness_lower``, ``robustness_upper`` (the interval of
-    STL robustness still possible, clipped to the world's diagonal [m]).
+    Observation of a robot, float64, SI units, as measured: itself, the other robots and the objects, its contact, the
+    time and the interval of STL robustness still possible, clipped to the world's diagonal; every element is listed by
+    ``layouts[robot].describe()``, and those of all robots together by ``joint_layout.describe()``.
 
     Action of a robot: ``[Fx, Fy, torque]`` in its body frame, in [-1, 1] of its limits.
     """

@@ -88,3 +88,19 @@ def test_expert_throws_and_catches_it_on_an_uneven_floor() -> None:
 def test_only_the_exact_engine_has_it() -> None:
     with pytest.raises(ScenarioError, match=r"objects\.pop\.keep_force = 0\.5: only the exact engine has it"):
         load(0.5).override({"engine": "pymunk"})
+
+
+def test_an_episode_does_not_feel_the_impact_that_ended_the_last_one() -> None:
+    scenario = load(0.3)
+    x, y = scenario.objects["pop"].start
+    scenario = scenario.override({"robots.snap.start": (x, y - 0.62), "robots.snap.start_velocity": (0.0, 0.5)})
+    worlds = impact_envs.vector_env(scenario, num_envs=1, threads=1, max_cycles=5, autoreset_mode="Disabled")
+    single = impact_envs.JointEnv(scenario, max_cycles=5)
+    for seed in (3, None):
+        worlds.reset(seed=seed)
+        single.reset(seed=seed)
+        for _ in range(5):
+            many, *_, infos = worlds.step(np.zeros((1, 6)))
+            one, *_ = single.step(np.zeros(6))
+            assert np.array_equal(many[0], one)
+        assert infos["impacts"].tolist() == [1]

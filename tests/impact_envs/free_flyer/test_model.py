@@ -19,6 +19,7 @@ from impact_envs.free_flyer.schema import (
     OFFSET_X,
     OFFSET_Y,
     RESTITUTION,
+    RESTITUTION_SPEED,
     FreeFlyerScenario,
 )
 from impact_envs.physics.convex import Disc, Polygon, compute_contact
@@ -75,7 +76,7 @@ def make_scenario(robots, objects=(), world=FAR, obstacles=None, period=0.1):
 
 def change(scenario, physics, thruster_on_off=False, thruster_gain=None, **values):
     """Physics with other values: numbers of all contacts, or vectors by body name."""
-    contact = {"restitution": RESTITUTION, "friction": FRICTION}
+    contact = {"restitution": RESTITUTION, "restitution_speed": RESTITUTION_SPEED, "friction": FRICTION}
     body = {"center_of_mass": slice(OFFSET_X, OFFSET_Y + 1), "drift": slice(DRIFT_X, DRIFT_Y + 1)}
     for key, value in values.items():
         if key in contact:
