@@ -42,7 +42,7 @@ from impact_envs.free_flyer.worlds import (
     make_worlds,
 )
 from impact_envs.scenario import Quantity, Uniform
-from impact_envs.stl.program import make_program, memory_size
+from impact_envs.stl.compiler import compile_formula
 from impact_envs.stream import draw_doubles, seed_streams
 
 
@@ -77,7 +77,7 @@ class Batch:
         true = scenario.true
         shifts = any(not _is(quantity, 0.0) for quantity in (true.center_of_mass_offset, true.drift))
         gains = any(not _is(quantity, 1.0) for quantity in (true.thruster_gain, true.weak_thruster))
-        self._program = make_program(
+        self._formula = compile_formula(
             scenario.specification,
             scenario.control_period,
             scenario.areas,
@@ -98,7 +98,7 @@ class Batch:
         check_size(count, sum({array.ctypes.data: array.nbytes for array in arrays}.values()))
         self._worlds, self._memory = self._make_worlds(count, shifts, gains)
         self._log = np.zeros((count, 0, ROW))
-        shared = (self._program, self._sensing, self._rules, self._memory)
+        shared = (self._formula, self._sensing, self._rules, self._memory)
         self._arrays: tuple[Any, ...] = (
             *map(tuple, (arena, self._worlds, self._scratch)),
             self._log,
@@ -256,7 +256,7 @@ class Batch:
             samples=np.zeros((count, kept), dtype),
             measured=states if ideal else np.zeros_like(states),
             felt=contacts if ideal else np.zeros_like(contacts),
-            monitor=np.zeros((count, memory_size(self._program)), dtype),
+            monitor=np.zeros((count, self._formula.size), dtype),
             bounds=np.zeros((count, 2), dtype),
         )
         return make_worlds(self._arena, count, shifts, gains, dtype), memory

@@ -11,11 +11,10 @@ import numpy as np
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
 from impact_envs.stl import Always, And, Formula, In, Trace, robustness_signal
-from impact_envs.stl.progression import progress
+from impact_envs.stl.progression import progress_formula
 from planners.free_flyer.nominal.event_grid import find_halt
 from planners.free_flyer.nominal.planner import Ambition, make_free_flyer_plan
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.specification.negation_normal_form import is_state
 from planners.free_flyer.specification.requirement import read_demands
 from planners.plan import Plan
 
@@ -117,7 +116,7 @@ def make_remaining_scenario(
     Raises:
         InputError: nothing remains, or the formula's rest cannot be said.
     """
-    parts = progress_formula(scenario, now, past).parts
+    parts = progress_specification(scenario, now, past).parts
     places = {name: np.array(positions[name], dtype=float) for name in scenario.bodies}
     speeds = {name: _read_velocity(scenario, name, velocities[name]) for name in scenario.bodies}
     for _ in range(SWEEPS):
@@ -134,7 +133,7 @@ def make_remaining_scenario(
     return scenario.override(values)
 
 
-def progress_formula(scenario: FreeFlyerScenario, now: float, past: Past) -> Rest:
+def progress_specification(scenario: FreeFlyerScenario, now: float, past: Past) -> Rest:
     """Return what of a scenario's formula is left to be done, conjunct by conjunct.
 
     Args:
@@ -160,10 +159,10 @@ def progress_formula(scenario: FreeFlyerScenario, now: float, past: Past) -> Res
     left: list[Formula] = []
     violated: list[str] = []
     for part in _split(scenario.specification.expand(scenario.bodies)):
-        if isinstance(part, Always) and is_state(part.child):
+        if isinstance(part, Always) and not part.child.is_temporal:
             found, missed = _progress_always(part, trace, now)
         else:
-            found = progress(part, trace)
+            found = progress_formula(part, trace)
             missed = found is False
         if isinstance(found, Formula):
             left.append(found)
@@ -186,7 +185,7 @@ def _split(formula: Formula) -> Iterator[Formula]:
 
 def _progress_always(part: Always, trace: Trace, now: float) -> tuple[Formula | bool, bool]:
     """Return what is left of what always holds, and whether it was violated: what still holds now is worth keeping."""
-    found = progress(part, trace, FORGIVEN)
+    found = progress_formula(part, trace, FORGIVEN)
     violated = found is False
     if violated and part.interval[1] > now:
         found = Always((0.0, round(part.interval[1] - now, 9)), part.child)

@@ -15,7 +15,7 @@ import numpy as np
 
 from impact_envs.stl import Always, And, Eventually, Formula, Or, Predicate, Until
 from planners.alternatives import AllOf, AnyOf, require_tree
-from planners.free_flyer.specification.negation_normal_form import Release, is_state
+from planners.free_flyer.specification.negation_normal_form import Release
 from planners.free_flyer.specification.predicate_rows import (
     Grid,
     Mark,
@@ -91,7 +91,7 @@ class _Encoder:
 
     def hold(self, formula: Formula, window: Window) -> Node:
         """Return the rows of 'the formula holds at all instants of the window'."""
-        if window.is_instant and is_state(formula):
+        if window.is_instant and not formula.is_temporal:
             return self._come(formula, window.start, window.start)
         match formula:
             case Predicate():
@@ -190,7 +190,7 @@ class _Encoder:
         if window.is_instant:
             return AnyOf(tuple(self.hold(part, window) for part in operands))
         pieces: list[Node] = []
-        if all(is_state(part) for part in operands):
+        if not any(part.is_temporal for part in operands):
             for piece in range(self.grid.count):
                 windows = (window.start, window.end), (self.grid.times[piece], self.grid.times[piece + 1])
                 inside = self._state(Or(operands), ((piece, 0.0), (piece, 1.0)), windows)
@@ -207,7 +207,7 @@ class _Encoder:
 
     def _on_piece(self, formula: Formula, piece: int, part: Window) -> Node:
         """Return the rows of 'the formula holds between two switches'; a state formula's are on one piece."""
-        if not is_state(formula):
+        if formula.is_temporal:
             return self.hold(formula, part)
         times = self.grid.times
         state = self._state(formula, ((piece, 0.0), (piece, 1.0)), ((part.start, part.end),))
@@ -221,12 +221,12 @@ class _Encoder:
             later = window.shifted(lower, upper)
             return self.hold(child, later), later.end
         if not window.is_instant:
-            return (self._recur if is_state(child) else self._repeat)(child, window, lower, upper)
+            return (self._repeat if child.is_temporal else self._recur)(child, window, lower, upper)
         first, last = window.start + lower, window.start + upper
-        if isinstance(child, Or) and not is_state(child) and not timed:
+        if isinstance(child, Or) and child.is_temporal and not timed:
             each = (Eventually((lower, upper), part) for part in child.operands)
             return AnyOf(tuple(self.hold(part, window) for part in each)), last
-        if is_state(child) and not timed:
+        if not child.is_temporal and not timed:
             return self._come(child, first, last), last
         instant, rows = self._instant(first, last)
         return AllOf((rows, self.hold(child, self._at(instant)))), instant
@@ -309,7 +309,7 @@ class _Encoder:
 
 def _group(operands: tuple[Formula, ...], window: Window) -> Iterator[Formula]:
     """Return operands of a conjunction; state formulas at an instant go together, for they share its place."""
-    state = tuple(part for part in operands if is_state(part)) if window.is_instant else ()
+    state = tuple(part for part in operands if not part.is_temporal) if window.is_instant else ()
     if len(state) > 1:
         yield And(state)
     yield from (part for part in operands if len(state) < 2 or part not in state)
