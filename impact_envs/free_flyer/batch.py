@@ -36,7 +36,7 @@ from impact_envs.free_flyer.worlds import (
     make_worlds,
     write_physics,
 )
-from impact_envs.stl.program import make_program, memory_size
+from impact_envs.stl.compiler import compile_formula
 from impact_envs.stream import draw_doubles, seed_streams
 
 
@@ -104,7 +104,7 @@ class Batch(BatchViews):
         self.scenario, self.count, self.dtype = scenario, count, dtype
         task = FreeFlyerTask(scenario)
         arena, _ = make_arena(scenario)
-        self._program = make_program(
+        self._formula = compile_formula(
             scenario.specification,
             scenario.control_period,
             scenario.areas,
@@ -122,7 +122,7 @@ class Batch(BatchViews):
         check_size(count, sum({array.ctypes.data: array.nbytes for array in arrays}.values()))
         self._worlds, self._memory = self._make_worlds(count)
         self._log = np.zeros((count, 0, ROW))
-        shared = (self._program, self._sensing, self._rules, self._memory)
+        shared = (self._formula, self._sensing, self._rules, self._memory)
         self._arrays: tuple[Any, ...] = (
             *map(tuple, (arena, self._worlds, self._scratch)),
             self._log,
@@ -243,7 +243,7 @@ class Batch(BatchViews):
             samples=np.zeros((count, kept), dtype),
             measured=states if ideal else np.zeros_like(states),
             felt=contacts if ideal else np.zeros_like(contacts),
-            monitor=np.zeros((count, memory_size(self._program)), dtype),
+            monitor=np.zeros((count, self._formula.size), dtype),
             bounds=np.zeros((count, 2), dtype),
         )
         return make_worlds(self._arena, count, true.moves_bodies, true.changes_thrusters, dtype), memory

@@ -70,7 +70,7 @@ class GpuBatch(BatchViews):
         _check_memory(count, sum(array.nbytes for array in (*host._worlds, *host._memory, *output)))
         self._worlds: Any = _replace_arrays(host._worlds, self._make_tensor)
         self._memory: Any = self._make_memory()
-        shared = (host._log, host._program, host._sensing, host._rules)
+        shared = (host._log, host._formula, host._sensing, host._rules)
         kinds = (
             typeof(host._arena),
             _type_strided(host._worlds),
@@ -214,7 +214,7 @@ def make_kernel(kinds: tuple[Any, ...], bodies: int, pairs: int, motion_size: in
         arena: Any,
         worlds: Worlds,
         log: Any,
-        program: Any,
+        formula: Any,
         sensing: Any,
         rules: Any,
         memory: Memory,
@@ -230,7 +230,7 @@ def make_kernel(kinds: tuple[Any, ...], bodies: int, pairs: int, motion_size: in
             for pair in range(pairs):
                 marks[0, pair, REST] = 0
             scratch = Scratch(motion, marks, contacts)
-            run(arena, worlds, scratch, log, program, sensing, rules, memory, output, actions, todo, 0, k, k + 1)
+            run(arena, worlds, scratch, log, formula, sensing, rules, memory, output, actions, todo, 0, k, k + 1)
 
     with _unfused():
         return cuda.jit(kinds, **options)(run_world)

@@ -31,7 +31,7 @@ from impact_envs.free_flyer.worlds import (
     write_states,
 )
 from impact_envs.reward import compute_effort, compute_reward, compute_team_reward
-from impact_envs.stl.program import Program
+from impact_envs.stl.compiled_formula import CompiledFormula
 from impact_envs.stl.stepper import start_monitor, update_monitor
 from impact_envs.stream import next_double
 
@@ -99,7 +99,7 @@ def step_task(
     worlds: Worlds,
     scratch: Scratch,
     log: np.ndarray,
-    program: Program,
+    formula: CompiledFormula,
     sensing: Sensing,
     rules: Rules,
     memory: Memory,
@@ -118,7 +118,7 @@ def step_task(
     for i in range(arena.robots):
         memory.contacts[k, i] = 1.0 if worlds.state[k, i, FELT] > FELT_SPEED else 0.0
     before = memory.bounds[k, 0], memory.bounds[k, 1]
-    watch(program, rules, memory, k, worlds.counter[k, STEPS])
+    watch(formula, rules, memory, k, worlds.counter[k, STEPS])
     after = memory.bounds[k, 0], memory.bounds[k, 1]
     team = compute_team_reward(before, after, worlds.counter[k, STEPS] >= rules.last)
     for i in range(arena.robots):
@@ -129,7 +129,7 @@ def step_task(
 @inlined
 def start_task(
     worlds: Worlds,
-    program: Program,
+    formula: CompiledFormula,
     sensing: Sensing,
     rules: Rules,
     memory: Memory,
@@ -148,15 +148,15 @@ def start_task(
     for i in range(memory.contacts.shape[1]):
         memory.contacts[k, i] = 0.0
         output.rewards[k, i] = 0.0
-    start_monitor(program, memory.monitor, k)
-    watch(program, rules, memory, k, 0)
+    start_monitor(formula, memory.monitor, k)
+    watch(formula, rules, memory, k, 0)
     observe(worlds, sensing, rules, memory, output, k)
 
 
 @inlined
-def watch(program: Program, rules: Rules, memory: Memory, k: int, count: int) -> None:
+def watch(formula: CompiledFormula, rules: Rules, memory: Memory, k: int, count: int) -> None:
     """Take the formula's sample of world k."""
-    low, high = update_monitor(program, memory.monitor, k, count, memory.signals)
+    low, high = update_monitor(formula, memory.monitor, k, count, memory.signals)
     memory.bounds[k, 0] = max(-rules.diagonal, min(rules.diagonal, low))
     memory.bounds[k, 1] = max(-rules.diagonal, min(rules.diagonal, high))
 
@@ -194,7 +194,7 @@ def run_range(
     worlds: Worlds,
     scratch: Scratch,
     log: np.ndarray,
-    program: Program,
+    formula: CompiledFormula,
     sensing: Sensing,
     rules: Rules,
     memory: Memory,
@@ -208,9 +208,9 @@ def run_range(
     """Step or start the worlds from first to before end, as todo says."""
     for k in range(first, end):
         if todo[k] == STEP:
-            step_task(arena, worlds, scratch, log, program, sensing, rules, memory, output, c, k, actions)
+            step_task(arena, worlds, scratch, log, formula, sensing, rules, memory, output, c, k, actions)
         elif todo[k] == START:
-            start_task(worlds, program, sensing, rules, memory, output, k)
+            start_task(worlds, formula, sensing, rules, memory, output, k)
 
 
 @compiled
@@ -219,7 +219,7 @@ def run_tuples(
     worlds: tuple,
     scratch: tuple,
     log: np.ndarray,
-    program: tuple,
+    formula: tuple,
     sensing: tuple,
     rules: tuple,
     memory: tuple,
@@ -236,7 +236,7 @@ def run_tuples(
         Worlds(*worlds),
         Scratch(*scratch),
         log,
-        Program(*program),
+        CompiledFormula(*formula),
         Sensing(*sensing),
         Rules(*rules),
         Memory(*memory),

@@ -1,5 +1,7 @@
 """Signal Temporal Logic: formulas as text and trees, robustness, satisfaction, an online monitor."""
 
+from typing import TYPE_CHECKING, Any
+
 from impact_envs.stl.formula import (
     SIGNALS,
     Always,
@@ -13,12 +15,14 @@ from impact_envs.stl.formula import (
     Until,
 )
 from impact_envs.stl.margin import AreaLike
-from impact_envs.stl.monitor import Monitor
 from impact_envs.stl.parser import RESERVED, parse
 from impact_envs.stl.predicate import ALL, Distance, In, Linear, Predicate, Speed
 from impact_envs.stl.robustness import robustness, robustness_signal
 from impact_envs.stl.satisfaction import satisfied
 from impact_envs.stl.trace import Trace
+
+if TYPE_CHECKING:
+    from impact_envs.stl.monitor import Monitor
 
 __all__ = [
     "ALL",
@@ -46,3 +50,11 @@ __all__ = [
     "robustness_signal",
     "satisfied",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Monitor":  # loaded when first used, so that reading a formula needs no compiler
+        from impact_envs.stl.monitor import Monitor
+
+        return Monitor
+    raise AttributeError(f"module 'impact_envs.stl' has no attribute '{name}'")

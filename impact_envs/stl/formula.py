@@ -45,6 +45,19 @@ class Formula:
             yield from child.walk()
 
     @property
+    def is_temporal(self) -> bool:
+        """Return whether there is a temporal operator in the formula; without one it speaks of one instant."""
+        return any(isinstance(node, Temporal) for node in self.walk())
+
+    def define(self) -> Formula:
+        """Return an equal formula of simpler operators: how all that reads formulas takes operators it does not know.
+
+        Raises:
+            FormulaError: there is no simpler one.
+        """
+        raise FormulaError(f"operator {type(self).__name__} of '{self}' is not supported here")
+
+    @property
     def horizon(self) -> float:
         """Return the latest time the formula looks at [s]."""
         return max((child.horizon for child in self.children), default=0.0)
@@ -59,6 +72,17 @@ class Formula:
             FormulaError: an interval contains no sample.
         """
         return max((child.reach(period) for child in self.children), default=0)
+
+    def first_look(self, period: float) -> int:
+        """Return the earliest sample the formula looks at; the left side of an until counts from now on.
+
+        Args:
+            period: between samples [s].
+
+        Raises:
+            FormulaError: an interval contains no sample.
+        """
+        return min((child.first_look(period) for child in self.children), default=0)
 
     def bodies(self) -> tuple[str, ...]:
         """Return the bodies named, in order of appearance; ``all`` is not among them."""
@@ -215,6 +239,10 @@ class Implies(Formula):
     def __str__(self) -> str:
         return f"{self.left._enclosed(2)} -> {self.right._enclosed(1)}"
 
+    def define(self) -> Formula:
+        """Return ``not p | q``."""
+        return Or((Not(self.left), self.right))
+
 
 @dataclass(frozen=True)
 class Temporal(Formula):
@@ -249,6 +277,10 @@ class Temporal(Formula):
     def reach(self, period: float) -> int:
         """Return the window's last sample plus what the subformulas look ahead."""
         return self.window(period)[1] + super().reach(period)
+
+    def first_look(self, period: float) -> int:
+        """Return the window's first sample plus what the subformulas leave out."""
+        return self.window(period)[0] + super().first_look(period)
 
     def scale_time(self, factor: float) -> Formula:
         """Return the operator with its interval, and those inside, multiplied."""
@@ -332,6 +364,10 @@ class Until(Temporal):
     def rebuild(self, children: Sequence[Formula]) -> Formula:
         """Return the same operator over other formulas."""
         return Until(self.interval, *children)
+
+    def first_look(self, period: float) -> int:
+        """Return 0: the left side counts from now on."""
+        return 0
 
     def __str__(self) -> str:
         return f"{self.left._enclosed(5)} U{self._bounds} {self.right._enclosed(4)}"

@@ -1,26 +1,27 @@
 """Robustness mu(x) of a predicate: on arrays, on one sample, and the range it can take within bounds.
 
-The three forms perform the same floating-point operations in the same order. Hence the online monitor ends at
-exactly the offline value, and (rounding being monotone) a range holds every value to the last bit.
+The three forms, and the compiled one (state.py), perform the same floating-point operations in the same order. Hence
+the online monitor ends at exactly the offline value, and (rounding being monotone) a range holds every value to the
+last bit.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from impact_envs.errors import FormulaError, choices
-from impact_envs.stl.formula import Formula
-from impact_envs.stl.predicate import Distance, In, Linear, Predicate, Speed
-
 Array: TypeAlias = Any  # a numpy array or a torch tensor
 Range: TypeAlias = tuple[float, float]
 EVERYTHING: Range = (-math.inf, math.inf)
+Code: TypeAlias = tuple[int, tuple[str, ...], tuple[float, ...], int]
+
+# Kinds of a margin for the compiled evaluator (state.py).
+AREA, LINEAR, NORM = 1, 2, 3
 
 
 class AreaLike(Protocol):
@@ -55,6 +56,12 @@ class Margin(Protocol):
             bounds: signals to intervals; one that is missing may be anything.
         """
 
+    def encode(self) -> Code:
+        """Return what the compiled evaluator needs: kind, signals, numbers beginning with the sign, and a count."""
+
+    def negate(self) -> Margin:
+        """Return the margin of the opposite predicate: exactly minus this one."""
+
 
 @dataclass(frozen=True, slots=True)
 class AreaMargin:
@@ -85,6 +92,15 @@ class AreaMargin:
         faces = [_slack(b, ((self.x, hx), (self.y, hy)), bounds) for b, hx, hy in self.faces]
         return _signed(self.sign, combine_ranges(min, faces))
 
+    def encode(self) -> Code:
+        """Return the compiled form (see Margin); the count is that of the faces."""
+        numbers = tuple(number for face in self.faces for number in face)
+        return AREA, (self.x, self.y), (self.sign, *numbers), len(self.faces)
+
+    def negate(self) -> AreaMargin:
+        """Return the opposite margin (see Margin)."""
+        return replace(self, sign=-self.sign)
+
 
 @dataclass(frozen=True, slots=True)
 class LinearMargin:
@@ -108,6 +124,15 @@ class LinearMargin:
     def range(self, bounds: Mapping[str, Range]) -> Range:
         """Return the interval of mu (see Margin), exact."""
         return _signed(self.sign, _slack(self.bound, self.terms, bounds))
+
+    def encode(self) -> Code:
+        """Return the compiled form (see Margin); the count is that of the terms."""
+        names, coefficients = zip(*self.terms, strict=True)
+        return LINEAR, names, (self.sign, self.bound, *coefficients), len(names)
+
+    def negate(self) -> LinearMargin:
+        """Return the opposite margin (see Margin)."""
+        return replace(self, sign=-self.sign)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,47 +175,14 @@ class NormMargin:
             near, far = near + least * least, far + most * most
         return _signed(self.sign, (self.bound - math.sqrt(far), self.bound - math.sqrt(near)))
 
+    def encode(self) -> Code:
+        """Return the compiled form (see Margin); the count is that of the signals."""
+        names = (*self.head, *(self.tail or ()))
+        return NORM, names, (self.sign, self.bound), len(names)
 
-def make_margin(predicate: Predicate, areas: Mapping[str, AreaLike]) -> Margin:
-    """Make a predicate numeric.
-
-    Args:
-        predicate: about one body (see ``Formula.expand``).
-        areas: regions and obstacles by name.
-
-    Raises:
-        FormulaError: an unknown area.
-    """
-    match predicate:
-        case In(body, area, negated):
-            if area not in areas:
-                raise FormulaError(f"area '{area}' is unknown; {choices(area, areas)}")
-            H, b = (np.asarray(part, dtype=float).tolist() for part in areas[area].halfspaces())
-            faces = tuple((offset, hx, hy) for offset, (hx, hy) in zip(b, H, strict=True))
-            return AreaMargin(f"{body}.x", f"{body}.y", faces, -1.0 if negated else 1.0)
-        case Linear(terms, _, bound):
-            return LinearMargin(terms, bound, 1.0 if predicate.is_upper else -1.0)
-        case Distance(first, second, _, bound):
-            head, tail = (f"{first}.x", f"{first}.y"), (f"{second}.x", f"{second}.y")
-            return NormMargin(head, tail, bound, 1.0 if predicate.is_upper else -1.0)
-        case Speed(body, _, bound):
-            return NormMargin((f"{body}.vx", f"{body}.vy"), None, bound, 1.0 if predicate.is_upper else -1.0)
-        case _:
-            raise TypeError(f"{type(predicate).__name__} is not a predicate")
-
-
-def make_margins(formula: Formula, areas: Mapping[str, AreaLike]) -> dict[Predicate, Margin]:
-    """Make every predicate of a formula numeric.
-
-    Args:
-        formula: without ``all`` (see ``Formula.expand``).
-        areas: regions and obstacles by name.
-
-    Raises:
-        FormulaError: an unknown area.
-    """
-    predicates = dict.fromkeys(node for node in formula.walk() if isinstance(node, Predicate))
-    return {predicate: make_margin(predicate, areas) for predicate in predicates}
+    def negate(self) -> NormMargin:
+        """Return the opposite margin (see Margin)."""
+        return replace(self, sign=-self.sign)
 
 
 def combine_ranges(pick: Any, ranges: Iterable[Range]) -> Range:

@@ -8,11 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from struct import pack_into
+from typing import Any
+
+import numpy as np
 
 from impact_envs.errors import InputError, choices
+from impact_envs.stl.compiler import compile_formula
 from impact_envs.stl.formula import Formula
-from impact_envs.stl.margin import AreaLike, Range, make_margins
-from impact_envs.stl.rosi import make_node
+from impact_envs.stl.margin import AreaLike, Range
+from impact_envs.stl.stepper import start_monitor, update_world
+from impact_envs.stl.term import compute_range, make_term
 
 
 class Monitor:
@@ -20,9 +26,11 @@ class Monitor:
 
     The interval holds the final robustness as long as signals stay within the bounds; its lower end never
     decreases, its upper end never increases; after the last sample the formula looks at both ends equal
-    ``robustness`` of the trace to the last bit. A step takes time independent of the horizon for Boolean
-    combinations of temporal operators over predicates; temporal operators inside temporal operators are
-    evaluated anew over their horizon at every step.
+    ``robustness`` of the trace to the last bit. A step takes time independent of intervals for Boolean combinations
+    of temporal operators over predicates and of up to three alternating F and G; for other operators inside
+    operators, in proportion to the samples that the inner ones look ahead.
+
+    This is the compiled evaluator of many worlds (stepper.py) with one.
 
     Args:
         formula: specification.
@@ -31,6 +39,11 @@ class Monitor:
         bodies: what ``all`` stands for.
         bounds: signals to intervals known beforehand, for example the world box; samples to come count as
             anything within. A signal without bounds may become anything.
+
+    Attributes:
+        interval: of robustness still possible, lower and upper end; at first what the bounds alone allow.
+        count: samples taken.
+        reach: last sample that the formula looks at.
 
     Raises:
         FormulaError: an unknown area, or an interval without a sample.
@@ -45,28 +58,20 @@ class Monitor:
         bodies: tuple[str, ...],
         bounds: Mapping[str, Range] | None = None,
     ) -> None:
-        if not 0 < period < math.inf:
-            raise InputError(f"monitor: period {period} s must be finite and positive")
-        for name, (low, high) in (bounds or {}).items():
-            if not low <= high:
-                raise InputError(f"monitor: bounds [{low:g}, {high:g}] of signal '{name}' are empty")
         self.formula = formula.expand(bodies)
-        self.period = period
-        self.reach = self.formula.reach(period)
-        self._bounds = dict(bounds or {})
-        self._margins = make_margins(self.formula, areas)
         self._names = self.formula.signals()
+        self._compiled = compile_formula(self.formula, period, areas, bodies, self._names, bounds)
+        self._possible = compute_range(make_term(self.formula, period, areas), bounds or {})
+        self.period, self.reach, self._first = period, self.formula.reach(period), self.formula.first_look(period)
+        self._memory = np.zeros((1, self._compiled.size))
+        self._sample: Any = np.zeros((1, len(self._names)))
+        self._format = f"{len(self._names)}d"
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples."""
-        self.count = 0
-        self._root = make_node(self.formula, self.period, self._margins, self._bounds)
-
-    @property
-    def interval(self) -> Range:
-        """Return the interval of robustness still possible; at first what the bounds alone allow."""
-        return self._root.interval
+        start_monitor(self._compiled, self._memory, 0)
+        self.count, self.interval = 0, self._possible
 
     @property
     def final(self) -> bool:
@@ -81,7 +86,7 @@ class Monitor:
         good if the final robustness is exactly zero, which says nothing about satisfaction (``satisfied``
         does).
         """
-        low, high = self._root.interval
+        low, high = self.interval
         return True if low > 0 else False if high < 0 else None
 
     def update(self, sample: Mapping[str, float]) -> Range:
@@ -97,15 +102,18 @@ class Monitor:
             InputError: a signal is missing or not finite.
         """
         if self.count > self.reach:
-            return self._root.interval
+            return self.interval
         try:
-            values = {name: float(sample[name]) for name in self._names}
+            values = [sample[name] for name in self._names]
         except KeyError as error:
             name = error.args[0]
             raise InputError(f"sample: signal '{name}' is missing; {choices(name, sample)}") from None
-        if not math.isfinite(sum(values.values())):
-            name = next((n for n, value in values.items() if not math.isfinite(value)), self._names[0])
-            raise InputError(f"sample: signal '{name}' is {values[name]}; it must be finite")
-        self._root.update(self.count, values)
+        if not math.isfinite(sum(values)):
+            wrong = [(name, value) for name, value in zip(self._names, values, strict=True) if not math.isfinite(value)]
+            name, value = wrong[0] if wrong else (self._names[0], values[0])
+            raise InputError(f"sample: signal '{name}' is {value}; it must be finite")
+        if self.count >= self._first:  # no sample before it changes anything
+            pack_into(self._format, self._sample, 0, *values)
+            self.interval = update_world(*self._compiled, self._memory, self.count, self._sample)
         self.count += 1
-        return self._root.interval
+        return self.interval

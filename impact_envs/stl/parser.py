@@ -15,10 +15,10 @@ from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
 from impact_envs.errors import FormulaError, choices
 from impact_envs.stl.formula import Always, And, Eventually, Formula, Implies, Not, Or, Until, check_interval
-from impact_envs.stl.predicate import Distance, In, Linear, Speed
+from impact_envs.stl.predicate import ALL, FUNCTIONS, In, Linear, make_comparison
 
 _OPERATORS = ("and", "or", "not", "implies", "until", "U", "eventually", "F", "always", "G")
-RESERVED = frozenset((*_OPERATORS, "in", "all", "distance", "speed"))
+RESERVED = frozenset((*_OPERATORS, "in", ALL, *FUNCTIONS))
 """Words that cannot name a body or an area in a formula."""
 
 _EXCERPT = 60  # characters of the formula an error shows
@@ -58,6 +58,7 @@ def parse(text: str) -> Formula:
 @cache
 def _lark() -> Lark:
     grammar = resources.files(__package__).joinpath("grammar.lark").read_text(encoding="utf-8")
+    grammar = grammar.replace("(FUNCTIONS)", f"({'|'.join(FUNCTIONS)})")
     # The basic lexer keeps keywords keywords everywhere, so that "pop in not wall" is an error at "not".
     return Lark(grammar, parser="lalr", lexer="basic", propagate_positions=True)
 
@@ -111,7 +112,7 @@ def _compare(left: Any, relation: str, right: Any) -> Formula:
         terms = tuple((name, c) for name, c in total.terms.items() if c != 0)
         return Linear(terms, relation, right.constant - left.constant)
     if not isinstance(right, _Sum) or right.terms:
-        raise FormulaError("distance and speed are compared with a number")
+        raise FormulaError(f"{' and '.join(FUNCTIONS)} are compared with a number")
     return left(relation, right.constant)
 
 
@@ -130,8 +131,7 @@ _RULES: dict[str, Callable[..., Any]] = {
     "outside": partial(In, negated=True),
     "body": str,
     "comparison": _compare,
-    "distance": lambda a, b: partial(Distance, a, b),
-    "speed": lambda body: partial(Speed, body),
+    "function": lambda name, *bodies: partial(make_comparison, name, bodies),
     "number": lambda text: _Sum({}, _number(text)),
     "signal": lambda name: _Sum({name: 1.0}),
     "minus": lambda value: value.scaled(-1.0),
@@ -176,7 +176,7 @@ def _explain(text: str, error: UnexpectedToken) -> FormulaError:
     before = re.search(r"([^\W\d]\w*)\s*$", text[:position])
     word = before.group(1) if before else ""
     if word and word not in RESERVED and error.token.type in ("LSQB", "LPAR"):
-        operators = ("eventually", "always", "F", "G") if error.token.type == "LSQB" else ("distance", "speed")
+        operators = ("eventually", "always", "F", "G") if error.token.type == "LSQB" else tuple(FUNCTIONS)
         what = f"operator '{word}' is unknown; {choices(word, operators)}"
         return FormulaError(_locate(text, before.start(1) if before else position, what))
     if not text.strip():

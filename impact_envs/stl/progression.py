@@ -8,9 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from impact_envs.errors import FormulaError
-from impact_envs.stl.formula import Always, And, Eventually, Formula, Implies, Not, Or, Temporal, Until
-from impact_envs.stl.margin import make_margins
-from impact_envs.stl.predicate import Predicate
+from impact_envs.stl.formula import Always, And, Eventually, Formula, Not, Or, Temporal, Until
+from impact_envs.stl.predicate import Predicate, make_margins
 from impact_envs.stl.trace import Trace
 
 PARTS = 8  # into which one subformula may fall apart, at most
@@ -18,7 +17,7 @@ DIGITS = 9  # of times [s]
 Left = Formula | bool  # what is left: a formula, or how the past has decided it
 
 
-def progress(formula: Formula, trace: Trace, tolerance: float = 0.0) -> Left:
+def progress_formula(formula: Formula, trace: Trace, tolerance: float = 0.0) -> Left:
     """Return what is left of a formula at the last sample of a trace, in time that starts there.
 
     The trace holds samples 0 .. n, of which those before n are the past; n is also the first sample of what comes.
@@ -42,12 +41,12 @@ def progress(formula: Formula, trace: Trace, tolerance: float = 0.0) -> Left:
         mu = margin.compute(trace.first(predicate.signals(), trace.length), np)
         mu = np.broadcast_to(mu, (trace.length,))
         held[predicate] = mu > -tolerance if predicate.strict else mu >= -tolerance
-    return _Progress(trace.period, trace.length - 1, held).at(formula, 0)
+    return _Progression(trace.period, trace.length - 1, held).at(formula, 0)
 
 
 @dataclass(frozen=True)
-class _Progress:
-    """Progress formulas from any sample k <= n.
+class _Progression:
+    """Progress formulas from any sample k <= n on.
 
     Args:
         period: between samples [s].
@@ -69,7 +68,7 @@ class _Progress:
         return self.known[key]
 
     def _at(self, formula: Formula, k: int) -> Left:
-        if k + _first_look(formula, self.period) >= self.now:
+        if k + formula.first_look(self.period) >= self.now:
             return _hasten(formula, self.period * (self.now - k))
         match formula:
             case Predicate():
@@ -80,21 +79,19 @@ class _Progress:
                 return _join(And, (self.at(part, k) for part in operands))
             case Or(operands):
                 return _join(Or, (self.at(part, k) for part in operands))
-            case Implies(left, right):
-                return _join(Or, (_negate(self.at(left, k)), self.at(right, k)))
             case Always(_, child):
                 return self._over(And, formula, child, k)
             case Eventually(_, child):
                 return self._over(Or, formula, child, k)
             case Until():
                 return self._until(formula, k)
-        raise FormulaError(f"{type(formula).__name__} cannot be progressed")
+        return self.at(formula.define(), k)
 
     def _over(self, kind: type[And] | type[Or], formula: Temporal, child: Formula, k: int) -> Left:
         """Return the junction of what is left of the child at all samples of the operator's interval."""
         first, last = formula.window(self.period)
         # From here on the child looks at nothing but what comes, and the operator stays one.
-        whole = max(self.now - _first_look(child, self.period), k + first)
+        whole = max(self.now - child.first_look(self.period), k + first)
         parts = [self.at(child, s) for s in range(k + first, min(whole, k + last + 1))]
         if whole <= k + last:
             kept = min(whole, self.now)
@@ -119,14 +116,6 @@ class _Progress:
             start, end = (_seconds(max(0.0, t - self.period * (self.now - k))) for t in formula.interval)
             choices.append(_join(And, (so_far, replace(formula, interval=(start, end)))))
         return _join(Or, choices)
-
-
-def _first_look(formula: Formula, period: float) -> int:
-    """Return the first sample a formula looks at."""
-    if isinstance(formula, Until):
-        return 0
-    ahead = formula.window(period)[0] if isinstance(formula, Temporal) else 0
-    return ahead + min((_first_look(child, period) for child in formula.children), default=0)
 
 
 def _hasten(formula: Formula, time: float) -> Formula:

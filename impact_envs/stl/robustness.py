@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
-from operator import neg
 from typing import Any
 
 import numpy as np
 
-from impact_envs.stl.formula import And, Eventually, Formula, Implies, Not, Or, Temporal, Until
-from impact_envs.stl.margin import Array, make_margins
-from impact_envs.stl.predicate import Predicate
+from impact_envs.stl.formula import Always, And, Eventually, Formula, Not, Or, Until
+from impact_envs.stl.margin import Array
+from impact_envs.stl.predicate import Predicate, make_margins
 from impact_envs.stl.trace import Trace, check_reach, is_tensor
 
 
@@ -81,13 +80,11 @@ class Semantics:
         period: between samples [s].
         xp: the module the arrays belong to, numpy or torch.
         mu: robustness of a predicate at its first so many samples.
-        negate: robustness of a negation.
     """
 
     period: float
     xp: Any
     mu: Callable[[Predicate, int], Array]
-    negate: Callable[[Array], Array] = neg
 
     def rho(self, formula: Formula, count: int) -> Array:
         """Compute robustness at the first ``count`` samples.
@@ -98,31 +95,29 @@ class Semantics:
 
         Returns:
             rho, shape (..., count).
+
+        Raises:
+            FormulaError: an operator that is not known here.
         """
         match formula:
             case Predicate():
                 return self.mu(formula, count)
             case Not(child):
-                return self.negate(self.rho(child, count))
+                return -self.rho(child, count)
             case And(operands):
                 return reduce(self.xp.minimum, [self.rho(operand, count) for operand in operands])
             case Or(operands):
                 return reduce(self.xp.maximum, [self.rho(operand, count) for operand in operands])
-            case Implies(left, right):
-                return self.xp.maximum(self.negate(self.rho(left, count)), self.rho(right, count))
-            case Temporal():
-                return self._temporal(formula, count)
-        raise TypeError(f"{type(formula).__name__} is not a formula")
-
-    def _temporal(self, formula: Temporal, count: int) -> Array:
-        first, last = formula.window(self.period)
-        children = [self.rho(child, count + last) for child in formula.children]
-        if isinstance(formula, Until):
-            return _until(children[0], children[1], first, last, self.xp)
-        window = children[0][..., first:]
-        if isinstance(formula, Eventually):
-            return _sliding_max(window, last - first + 1, self.xp)
-        return -_sliding_max(-window, last - first + 1, self.xp)
+            case Eventually(_, child):
+                first, last = formula.window(self.period)
+                return _sliding_max(self.rho(child, count + last)[..., first:], last - first + 1, self.xp)
+            case Always(_, child):
+                first, last = formula.window(self.period)
+                return -_sliding_max(-self.rho(child, count + last)[..., first:], last - first + 1, self.xp)
+            case Until(_, left, right):
+                first, last = formula.window(self.period)
+                return _until(self.rho(left, count + last), self.rho(right, count + last), first, last, self.xp)
+        return self.rho(formula.define(), count)
 
 
 def _sliding_max(values: Array, width: int, xp: Any) -> Array:

@@ -8,27 +8,21 @@ the last bit.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from dataclasses import dataclass
+from typing import TypeAlias
 
-from impact_envs.stl.formula import Always, And, Formula, Implies, Not, Or, Temporal
-from impact_envs.stl.margin import (
-    AreaLike,
-    AreaMargin,
-    LinearMargin,
-    NormMargin,
-    Range,
-    combine_ranges,
-    make_margin,
-)
+from impact_envs.stl.formula import Always, And, Eventually, Formula, Not, Or, Until
+from impact_envs.stl.margin import AreaLike, Margin, Range, combine_ranges
 from impact_envs.stl.predicate import Predicate
+
+Pick: TypeAlias = Callable[..., float]  # min or max
 
 
 @dataclass(frozen=True)
 class Combination:
     """The least (``pick`` is min) or the greatest (max) of at least two terms."""
 
-    pick: Callable[..., float]
+    pick: Pick
     children: tuple[Term, ...]
 
 
@@ -40,18 +34,19 @@ class Operator:
     between the negated terms (min).
     """
 
-    pick: Callable[..., float]
+    pick: Pick
     first: int
     last: int
     children: tuple[Term, ...]
 
 
-Leaf: TypeAlias = AreaMargin | LinearMargin | NormMargin
-Term: TypeAlias = Leaf | Combination | Operator
+Term: TypeAlias = Margin | Combination | Operator
 
 
 def make_term(formula: Formula, period: float, areas: Mapping[str, AreaLike], negated: bool = False) -> Term:
     """Bring a formula, or its negation, into normal form.
+
+    Operators of a kind within each other are merged: F[a,b] F[c,d] p = F[a+c,b+d] p.
 
     Args:
         formula: without ``all``.
@@ -60,25 +55,63 @@ def make_term(formula: Formula, period: float, areas: Mapping[str, AreaLike], ne
         negated: whether the negation is wanted.
 
     Raises:
-        FormulaError: an unknown area, or an interval without a sample.
+        FormulaError: an unknown area, an interval without a sample, or an operator that is not known here.
     """
+
+    def make(child: Formula) -> Term:
+        return make_term(child, period, areas, negated)
+
     match formula:
         case Predicate():
-            margin: Any = make_margin(formula, areas)
-            return replace(margin, sign=-margin.sign) if negated else margin
+            margin = formula.margin(areas)
+            return margin.negate() if negated else margin
         case Not(child):
             return make_term(child, period, areas, not negated)
-        case Implies(left, right):
-            return make_term(Or((Not(left), right)), period, areas, negated)
-    children = tuple(make_term(child, period, areas, negated) for child in formula.children)
-    pick = min if isinstance(formula, And | Always) != negated else max
-    if isinstance(formula, Temporal):
-        return Operator(pick, *formula.window(period), children)
-    return Combination(pick, tuple(part for child in children for part in _open(child, pick)))
+        case And(operands) | Or(operands):
+            pick = min if isinstance(formula, And) != negated else max
+            return Combination(pick, tuple(part for child in operands for part in _open(make(child), pick)))
+        case Always(_, child) | Eventually(_, child):
+            pick = min if isinstance(formula, Always) != negated else max
+            return _merge(Operator(pick, *formula.window(period), (make(child),)))
+        case Until(_, left, right):
+            return Operator(min if negated else max, *formula.window(period), (make(left), make(right)))
+    return make(formula.define())
 
 
-def _open(term: Term, pick: Callable[..., float]) -> tuple[Term, ...]:
+def _open(term: Term, pick: Pick) -> tuple[Term, ...]:
     return term.children if isinstance(term, Combination) and term.pick is pick else (term,)
+
+
+def _merge(outer: Operator) -> Operator:
+    """Return one operator for two of a kind; one about a single sample is of every kind."""
+    (inner,) = outer.children
+    if isinstance(inner, Operator) and len(inner.children) == 1:
+        pick = inner.pick if outer.first == outer.last else outer.pick
+        if pick is inner.pick or inner.first == inner.last:
+            return Operator(pick, outer.first + inner.first, outer.last + inner.last, inner.children)
+    return outer
+
+
+def split_operators(term: Term) -> Term:
+    """Return an equal term with an outermost always of a conjunction, or eventually of a disjunction, taken apart.
+
+    Args:
+        term: any; operators of formulas without temporal operators stay whole.
+    """
+    if isinstance(term, Combination):
+        opened = [part for child in term.children for part in _open(split_operators(child), term.pick)]
+        return Combination(term.pick, tuple(opened))
+    if not isinstance(term, Operator) or len(term.children) == 2:
+        return term
+    (inner,) = term.children
+    if not isinstance(inner, Combination) or inner.pick is not term.pick or is_state(inner):
+        return term
+    states = tuple(part for part in inner.children if is_state(part))
+    parts = [part for part in inner.children if not is_state(part)]
+    if states:
+        parts.append(states[0] if len(states) == 1 else Combination(term.pick, states))
+    each = [_merge(Operator(term.pick, term.first, term.last, (part,))) for part in parts]
+    return split_operators(Combination(term.pick, tuple(each)))
 
 
 def is_state(term: Term) -> bool:
@@ -88,9 +121,20 @@ def is_state(term: Term) -> bool:
     return not isinstance(term, Operator)
 
 
-def compute_range(state: Term, bounds: Mapping[str, Range]) -> Range:
-    """Return an interval that holds a term without temporal operators for all signals within bounds."""
-    if isinstance(state, Combination):
-        return combine_ranges(state.pick, [compute_range(child, bounds) for child in state.children])
-    assert not isinstance(state, Operator)
-    return state.range(bounds)
+def other(pick: Pick) -> Pick:
+    """Return max for min, min for max."""
+    return min if pick is max else max
+
+
+def compute_range(term: Term, bounds: Mapping[str, Range]) -> Range:
+    """Return an interval that holds a term's robustness for all signals within bounds.
+
+    Args:
+        term: any.
+        bounds: signals to intervals; one that is missing may be anything.
+    """
+    if isinstance(term, Combination | Operator):
+        # Of an until both sides count, each at its best instant.
+        pick = other(term.pick) if isinstance(term, Operator) and len(term.children) == 2 else term.pick
+        return combine_ranges(pick, [compute_range(child, bounds) for child in term.children])
+    return term.range(bounds)

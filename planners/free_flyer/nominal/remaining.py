@@ -11,12 +11,11 @@ import numpy as np
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
 from impact_envs.stl import Always, And, Formula, In, Trace, robustness_signal
-from impact_envs.stl.progression import progress
+from impact_envs.stl.progression import progress_formula
 from planners.free_flyer.nominal.event_grid import find_halt
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
 from planners.free_flyer.nominal.task import CostOptions, PlanOptions, Wish, WordSearchOptions
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.specification.negation_normal_form import is_state
 from planners.free_flyer.specification.requirement import read_demands
 from planners.plan import Plan
 from planners.spline_rows import SmoothingOptions
@@ -122,7 +121,7 @@ def make_remaining_scenario(
     Raises:
         InputError: nothing remains, or the formula's rest cannot be said.
     """
-    parts = progress_formula(scenario, now, past, repair).parts
+    parts = progress_specification(scenario, now, past, repair).parts
     places = {name: np.array(positions[name], dtype=float) for name in scenario.bodies}
     speeds = {name: _read_velocity(scenario, name, velocities[name], repair) for name in scenario.bodies}
     for _ in range(repair.sweeps):
@@ -139,7 +138,7 @@ def make_remaining_scenario(
     return scenario.override(values)
 
 
-def progress_formula(scenario: FreeFlyerScenario, now: float, past: Past, repair: Repair = Repair()) -> Rest:
+def progress_specification(scenario: FreeFlyerScenario, now: float, past: Past, repair: Repair = Repair()) -> Rest:
     """Return what is left of a scenario's formula, conjunct by conjunct.
 
     Args:
@@ -166,10 +165,10 @@ def progress_formula(scenario: FreeFlyerScenario, now: float, past: Past, repair
     left: list[Formula] = []
     violated: list[str] = []
     for part in _list_conjuncts(scenario.specification.expand(scenario.bodies)):
-        if isinstance(part, Always) and is_state(part.child):
+        if isinstance(part, Always) and not part.child.is_temporal:
             found, missed = _progress_always(part, trace, now, repair)
         else:
-            found = progress(part, trace)
+            found = progress_formula(part, trace)
             missed = found is False
         if isinstance(found, Formula):
             left.append(found)
@@ -192,7 +191,7 @@ def _list_conjuncts(formula: Formula) -> Iterator[Formula]:
 
 def _progress_always(part: Always, trace: Trace, now: float, repair: Repair) -> tuple[Formula | bool, bool]:
     """Return what is left of an "always", and whether the past violated it; one that holds now is kept all the same."""
-    found = progress(part, trace, repair.forgiven)
+    found = progress_formula(part, trace, repair.forgiven)
     violated = found is False
     if violated and part.interval[1] > now:
         found = Always((0.0, round(part.interval[1] - now, 9)), part.child)

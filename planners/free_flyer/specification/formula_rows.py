@@ -16,7 +16,7 @@ import numpy as np
 from impact_envs.stl import Always, And, Eventually, Formula, Or, Predicate, Until
 from planners.alternatives import AllOf, AnyOf, require_tree
 from planners.free_flyer.specification.grid import Grid, Place, Time, find_place, interpolate
-from planners.free_flyer.specification.negation_normal_form import Release, is_state
+from planners.free_flyer.specification.negation_normal_form import Release
 from planners.free_flyer.specification.predicate_rows import (
     Mark,
     MarkedTree,
@@ -88,7 +88,7 @@ class _Encoder:
 
     def encode(self, formula: Formula, window: TimeWindow) -> MarkedTree:
         """Return the rows of 'the formula holds at all instants of the window'."""
-        if window.is_instant and is_state(formula):
+        if window.is_instant and not formula.is_temporal:
             return self._encode_once(formula, window.start, window.start)
         match formula:
             case Predicate():
@@ -187,7 +187,7 @@ class _Encoder:
         if window.is_instant:
             return AnyOf(tuple(self.encode(part, window) for part in operands))
         pieces: list[MarkedTree] = []
-        if all(is_state(part) for part in operands):
+        if not any(part.is_temporal for part in operands):
             for piece in range(self.grid.count):
                 windows = (window.start, window.end), (self.grid.times[piece], self.grid.times[piece + 1])
                 inside = self._make_state(Or(operands), ((piece, 0.0), (piece, 1.0)), windows)
@@ -204,7 +204,7 @@ class _Encoder:
 
     def _encode_on_piece(self, formula: Formula, piece: int, part: TimeWindow) -> MarkedTree:
         """Return the rows of 'the formula holds between two switches'; a state formula holds there on one piece."""
-        if not is_state(formula):
+        if formula.is_temporal:
             return self.encode(formula, part)
         times = self.grid.times
         state = self._make_state(formula, ((piece, 0.0), (piece, 1.0)), ((part.start, part.end),))
@@ -218,14 +218,14 @@ class _Encoder:
             later = window.shifted(lower, upper)
             return self.encode(child, later), later.end
         if not window.is_instant:
-            return (self._encode_recurrence if is_state(child) else self._encode_repetition)(
+            return (self._encode_recurrence if not child.is_temporal else self._encode_repetition)(
                 child, window, lower, upper
             )
         first, last = window.start + lower, window.start + upper
-        if isinstance(child, Or) and not is_state(child) and not timed:
+        if isinstance(child, Or) and child.is_temporal and not timed:
             each = (Eventually((lower, upper), part) for part in child.operands)
             return AnyOf(tuple(self.encode(part, window) for part in each)), last
-        if is_state(child) and not timed:
+        if not child.is_temporal and not timed:
             return self._encode_once(child, first, last), last
         instant, rows = self._add_instant(first, last)
         return AllOf((rows, self.encode(child, self._at(instant)))), instant
@@ -316,7 +316,7 @@ class _Encoder:
 
 def _group(operands: tuple[Formula, ...], window: TimeWindow) -> Iterator[Formula]:
     """Return the operands of a conjunction; at an instant its state formulas become one, for they share its place."""
-    state = tuple(part for part in operands if is_state(part)) if window.is_instant else ()
+    state = tuple(part for part in operands if not part.is_temporal) if window.is_instant else ()
     if len(state) > 1:
         yield And(state)
     yield from (part for part in operands if len(state) < 2 or part not in state)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
-from impact_envs.stl import Always, And, Eventually, Formula, Implies, In, Not, Or, Predicate, Temporal, Until
-
-_MIRRORED = {"<=": ">", "<": ">=", ">=": "<", ">": "<="}
+from impact_envs.stl import Always, And, Eventually, Formula, Not, Or, Predicate, Temporal, Until
 
 
 @dataclass(frozen=True)
@@ -49,15 +47,16 @@ def compute_normal_form(formula: Formula, negated: bool = False) -> Formula:
     Returns:
         A formula with the same robustness on every signal in continuous time.
 
+    Raises:
+        FormulaError: an operator that planners do not take.
+
     Source: Verhagen & Tumova, Eq. (2) and the duals it defines.
     """
     match formula:
         case Predicate():
-            return _negate(formula) if negated else formula
+            return formula.negate() if negated else formula
         case Not(child):
             return compute_normal_form(child, not negated)
-        case Implies(left, right):
-            return _join(And if negated else Or, [(left, not negated), (right, negated)])
         case And(operands) | Or(operands):
             return _join(Or if isinstance(formula, And) == negated else And, [(part, negated) for part in operands])
         case Always(interval, child) | Eventually(interval, child):
@@ -71,22 +70,7 @@ def compute_normal_form(formula: Formula, negated: bool = False) -> Formula:
         case Release(interval, left, right):
             parts = compute_normal_form(left, negated), compute_normal_form(right, negated)
             return Until(interval, *parts) if negated else Release(interval, *parts)
-    raise TypeError(f"{type(formula).__name__} is not a formula")
-
-
-def is_state(formula: Formula) -> bool:
-    """Return whether a formula is about one instant only.
-
-    Args:
-        formula: any.
-    """
-    return not any(isinstance(node, Temporal) for node in formula.walk())
-
-
-def _negate(predicate: Predicate) -> Predicate:
-    if isinstance(predicate, In):
-        return replace(predicate, negated=not predicate.negated)
-    return replace(predicate, relation=_MIRRORED[predicate.relation])  # type: ignore[attr-defined, type-var]
+    return compute_normal_form(formula.define(), negated)
 
 
 def _join(kind: type[And] | type[Or], parts: list[tuple[Formula, bool]]) -> Formula:

@@ -162,4 +162,6 @@ def _reason(predicate: Predicate) -> str:
     if isinstance(predicate, Speed):
         return f"it is about a speed, and its robustness [m/s] is no length; {UNSUPPORTED}"
     wrong = [signal for signal in predicate.signals() if signal.partition(".")[2] not in ("x", "y")]
+    if not wrong:
+        return UNSUPPORTED
     return f"{wrong[0]} is no position, and the robustness would be no length; {UNSUPPORTED}"

@@ -6,7 +6,6 @@ import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
 from impact_envs.stl import Always, And, Distance, Eventually, Formula, Or, Predicate, Until
-from impact_envs.stl.margin import make_margin
 from planners.free_flyer.specification.negation_normal_form import Release
 from planners.free_flyer.specification.requirement import Demands, Requirement
 from planners.mixed_integer import Model
@@ -89,7 +88,7 @@ class _Bound:
 
     def _value(self, predicate: Predicate, places: dict[str, tuple[float, float]]) -> float:
         sample = {f"{name}.{axis}": place[k] for name, place in places.items() for k, axis in enumerate("xy")}
-        return make_margin(predicate, self.scenario.areas).at(sample)
+        return predicate.margin(self.scenario.areas).at(sample)
 
     def _best_place(self, predicate: Predicate) -> float:
         scenario, need = self.scenario, self.demands.predicates[predicate]
@@ -97,7 +96,7 @@ class _Bound:
             return _compute_inradius(scenario, need, self.solver)
         spans = list(zip(scenario.world.lower, scenario.world.upper, strict=True))
         ranges = {f"{name}.{axis}": spans[k] for name in need.bodies for k, axis in enumerate("xy")}
-        best = make_margin(predicate, scenario.areas).range(ranges)[1]
+        best = predicate.margin(scenario.areas).range(ranges)[1]
         if isinstance(predicate, Distance) and predicate.is_upper:
             best = predicate.bound - sum(scenario.body(name).radius for name in need.bodies)
         return best

@@ -145,8 +145,10 @@ def test_scaled_time_scales_every_interval():
         ("3 <= 4", 1, ["at least one signal"]),
         ("distance(a, b) <= pop.x", 1, ["compared with a number"]),
         ("speed(a) <= speed(b)", 1, ["compared with a number"]),
-        ("distance(a) <= 1", 11, ["')'", "','"]),
-        ("distance(a, all) <= 1", 13, ["'all'", "the name of a body"]),
+        ("distance(a) <= 1", 1, ["distance takes 2 bodies, got 1"]),
+        ("speed(a, b) <= 1", 1, ["speed takes 1 body, got 2"]),
+        ("distance(a, all) <= 1", 1, ["distance takes the names of 2 bodies, not 'all'"]),
+        ("distance(a b) <= 1", 12, ["'b'", "','", "')'"]),
     ],
 )
 def test_mistakes_are_located_and_explained(text, column, words):

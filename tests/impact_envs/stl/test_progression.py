@@ -5,7 +5,7 @@ import pytest
 
 from impact_envs.errors import FormulaError
 from impact_envs.stl import Formula, Trace, parse, satisfied
-from impact_envs.stl.progression import progress
+from impact_envs.stl.progression import progress_formula
 
 FORMULAS = [
     "G[0,12] a.x <= 1.2",
@@ -44,7 +44,7 @@ def test_holds_from_now_on_if_and_only_if_it_holds_from_the_start(text: str) -> 
         outcomes.add(whole)
         for now in range(0, SAMPLES - 2, 3):
             try:
-                left = progress(formula, cut(trace, 0, now))
+                left = progress_formula(formula, cut(trace, 0, now))
             except FormulaError:
                 continue
             if isinstance(left, Formula):
@@ -69,19 +69,19 @@ def test_says_what_is_left_in_short() -> None:
         ("a.y >= 1 U[0,15] a.x >= 1", "a.y >= 1 U[0,5] a.x >= 1"),
         ("a.x >= 1 U[0,15] a.x >= 2", None),
     ):
-        found = progress(parse(text), trace)
+        found = progress_formula(parse(text), trace)
         assert found is False if left is None else str(found) == left, (text, str(found))
-    assert progress(parse("F[0,5] a.y >= 1"), trace) is True
+    assert progress_formula(parse("F[0,5] a.y >= 1"), trace) is True
 
 
 def test_a_tolerance_forgives_what_is_within_it() -> None:
     trace = Trace({"a.x": np.full(11, 1.01)}, PERIOD)
-    assert progress(parse("G[0,9] a.x <= 1"), trace) is False
-    assert str(progress(parse("G[0,9] a.x <= 1"), trace, tolerance=0.02)) == "G[0,4] a.x <= 1"
+    assert progress_formula(parse("G[0,9] a.x <= 1"), trace) is False
+    assert str(progress_formula(parse("G[0,9] a.x <= 1"), trace, tolerance=0.02)) == "G[0,4] a.x <= 1"
 
 
 def test_refuses_what_has_no_short_form() -> None:
     rng = np.random.default_rng(1)
     trace = Trace({"a.x": rng.normal(size=41), "a.y": rng.normal(size=41)}, PERIOD)
     with pytest.raises(FormulaError, match="parts"):
-        progress(parse("G[0,20] (a.x >= 0 -> F[10,30] G[0,5] a.y >= 0)"), trace)
+        progress_formula(parse("G[0,20] (a.x >= 0 -> F[10,30] G[0,5] a.y >= 0)"), trace)

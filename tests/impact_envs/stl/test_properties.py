@@ -25,25 +25,10 @@ from impact_envs.stl import (
     robustness,
     satisfied,
 )
+from tests.impact_envs.stl.samples import AREAS, BODIES, BOUNDS, LIMIT, PERIOD
 
-BODIES = ("pop", "snap")
-LIMIT = 3.0  # of every signal
-BOUNDS = {f"{body}.{name}": (-LIMIT, LIMIT) for body in BODIES for name in ("x", "y", "vx", "vy")}
 CHECKED = settings(max_examples=60, deadline=None, derandomize=True, database=None)
 
-
-class Area:
-    def __init__(self, H, b):
-        self.H, self.b = np.array(H), np.array(b)
-
-    def halfspaces(self):
-        return self.H, self.b
-
-
-AREAS = {
-    "goal": Area([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]], [1.0, 1.0, 1.0, 0.0]),
-    "wall": Area([[0.6, 0.8], [-1.0, 0.0], [0.0, -1.0]], [1.5, 1.0, 1.0]),
-}
 
 bodies, areas = st.sampled_from(BODIES), st.sampled_from(sorted(AREAS))
 relations = st.sampled_from(["<=", "<", ">=", ">"])
@@ -57,7 +42,6 @@ predicates = st.one_of(
     st.builds(Speed, st.sampled_from([*BODIES, "all"]), relations, numbers),
     st.builds(Linear, terms, relations, numbers),
 )
-PERIOD = 0.1
 intervals = st.tuples(st.integers(0, 3), st.integers(0, 5)).map(
     lambda ends: (ends[0] * PERIOD, (ends[0] + ends[1]) * PERIOD)
 )
@@ -91,12 +75,15 @@ def tasks(draw, batch=()):
     return formula, Trace(values, PERIOD, AREAS, BODIES)
 
 
-def rho_by_definition(formula, trace, k=0):
-    """Eq. 2, sample by sample."""
+def judge_by_definition(formula, trace, judge, k=0):
+    """Eq. 2, sample by sample; of truth values least and greatest are and, or.
+
+    Args:
+        judge: predicate and sample to its robustness, or to 1 or -1.
+    """
     if isinstance(formula, Predicate):
-        signals = {name: value[..., k : k + 1] for name, value in trace.signals.items()}
-        return float(robustness(formula, Trace(signals, trace.period, trace.areas, trace.bodies)))
-    values = [rho_by_definition(child, trace, k) for child in formula.children]
+        return judge(formula, k)
+    values = [judge_by_definition(child, trace, judge, k) for child in formula.children]
     match formula:
         case Not():
             return -values[0]
@@ -107,16 +94,36 @@ def rho_by_definition(formula, trace, k=0):
         case Implies():
             return max(-values[0], values[1])
     first, last = (k + round(end / trace.period) for end in formula.interval)
-    right = [rho_by_definition(formula.children[-1], trace, tau) for tau in range(first, last + 1)]
+    right = [judge_by_definition(formula.children[-1], trace, judge, tau) for tau in range(first, last + 1)]
     match formula:
         case Eventually():
             return max(right)
         case Always():
             return min(right)
         case Until():
-            left = [rho_by_definition(formula.left, trace, s) for s in range(k, last + 1)]
+            left = [judge_by_definition(formula.left, trace, judge, s) for s in range(k, last + 1)]
             return max(min(r, *left[: first - k + i + 1]) for i, r in enumerate(right))
     raise TypeError(formula)
+
+
+def read_mu(trace):
+    """Return the robustness of a predicate at a sample of a trace."""
+
+    def mu(predicate, k):
+        signals = {name: value[..., k : k + 1] for name, value in trace.signals.items()}
+        return float(robustness(predicate, Trace(signals, trace.period, trace.areas, trace.bodies)))
+
+    return mu
+
+
+def read_truth(trace):
+    """Return whether a predicate holds at a sample of a trace, 1 or -1: at zero only if it is closed."""
+    mu = read_mu(trace)
+
+    def truth(predicate, k):
+        return 1 if mu(predicate, k) > 0 or (mu(predicate, k) == 0 and not predicate.strict) else -1
+
+    return truth
 
 
 @CHECKED
@@ -127,11 +134,14 @@ def test_printed_formula_parses_back(formula):
 
 @CHECKED
 @given(tasks())
-def test_robustness_is_the_definition(task):
+def test_robustness_and_satisfaction_are_the_definition(task):
     formula, trace = task
     temporal = sum(isinstance(node, Temporal) for node in formula.walk())
     assume(temporal <= 4)  # the definition costs window ** depth
-    assert float(robustness(formula, trace)) == rho_by_definition(formula, trace)
+    assert float(robustness(formula, trace)) == judge_by_definition(formula, trace, read_mu(trace))
+    # Strictness is that of each predicate about one body.
+    truth = judge_by_definition(formula.expand(BODIES), trace, read_truth(trace))
+    assert bool(satisfied(formula, trace)) == (truth > 0)
 
 
 @CHECKED
@@ -264,6 +274,6 @@ def test_robustness_is_that_of_rtamt(task):
     spec.parse()
     data = {"time": list(range(trace.length + 1))}  # rtamt cannot take one sample only
     for predicate, name in names.items():
-        mu = [rho_by_definition(predicate, trace, k) for k in range(trace.length)]
+        mu = [read_mu(trace)(predicate, k) for k in range(trace.length)]
         data[name] = [*mu, mu[-1]]
     assert spec.evaluate(data)[0][1] == float(robustness(formula, trace))

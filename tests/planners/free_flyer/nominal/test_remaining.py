@@ -13,7 +13,7 @@ from planners import make_expert, make_plan
 from planners.errors import Infeasible
 from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.nominal.event_sequence import compute_speed_caps
-from planners.free_flyer.nominal.remaining import Past, make_remaining_scenario, plan_rest, progress_formula
+from planners.free_flyer.nominal.remaining import Past, make_remaining_scenario, plan_rest, progress_specification
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.validation import compute_robustness, validate_plan
 from planners.plan import Plan
@@ -168,7 +168,7 @@ def test_the_rest_of_the_plan_is_as_good_as_the_plan(name: str) -> None:
         places = {body: curve.position(now) for body, curve in (plan.robots | plan.objects).items()}
         still = {body: np.zeros(2) for body in scenario.bodies}
         past = _track(scenario, plan, now)
-        assert progress_formula(scenario, now, past).violated == ()
+        assert progress_specification(scenario, now, past).violated == ()
         rest = make_remaining_scenario(scenario, now, places, still, past)
         times = np.linspace(0.0, rest.horizon, 5 * rest.steps + 1)
         later = {body: curve.position(now + times) for body, curve in (plan.robots | plan.objects).items()}
@@ -182,21 +182,21 @@ def test_the_rest_of_the_plan_is_as_good_as_the_plan(name: str) -> None:
 def test_what_is_served_is_dropped_and_what_is_violated_is_named() -> None:
     scenario, plan = _scenario("pong"), _plan("pong")
     now = round(plan.impacts[2].time + 1.0, 9)
-    assert [str(part) for part in progress_formula(scenario, now, _track(scenario, plan, now)).parts] == [
+    assert [str(part) for part in progress_specification(scenario, now, _track(scenario, plan, now)).parts] == [
         f"G[{100 - now:g},{100 - now:g}] pop in D"
     ]
     corridor = _scenario("corridor")
     times = np.arange(0.0, 20.05, 0.1)
     tracks = {body: np.repeat([corridor.body(body).start], len(times), axis=0) for body in corridor.bodies}
     tracks["pop"] = tracks["pop"] + [0.2, 0.0]
-    inside = progress_formula(corridor, 20.0, (times, tracks))
+    inside = progress_specification(corridor, 20.0, (times, tracks))
     assert inside.violated == ()
     tracks["pop"][50:60, 0] = 2.3
-    left = progress_formula(corridor, 20.0, (times, tracks))
+    left = progress_specification(corridor, 20.0, (times, tracks))
     assert left.violated == ("G[0,100] pop in corridor",)
     assert left.parts == inside.parts
     tracks["pop"][50:, 0] = 2.3
-    outside = progress_formula(corridor, 20.0, (times, tracks))
+    outside = progress_specification(corridor, 20.0, (times, tracks))
     assert [str(part) for part in outside.parts] == [
         "G[80,80] pop in goal",
         "G[0,80] snap in corridor",

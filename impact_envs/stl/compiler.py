@@ -1,55 +1,43 @@
-"""A formula as flat arrays, from which compiled functions follow its robustness in many worlds (stepper.py)."""
+"""Formulas to flat arrays, from which compiled functions follow their robustness in many worlds (code.py)."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from impact_envs.errors import InputError, choices
-from impact_envs.stl import stepper
+from impact_envs.stl import alternation
+from impact_envs.stl import compiled_formula as tables
+from impact_envs.stl.compiled_formula import CompiledFormula
 from impact_envs.stl.formula import Formula
-from impact_envs.stl.margin import AreaLike, AreaMargin, LinearMargin, Range, combine_ranges
-from impact_envs.stl.monitor import Monitor
-from impact_envs.stl.term import Combination, Operator, Term, compute_range, is_state, make_term
+from impact_envs.stl.margin import AreaLike, Margin, Range, combine_ranges
+from impact_envs.stl.term import (
+    Combination,
+    Operator,
+    Pick,
+    Term,
+    compute_range,
+    is_state,
+    make_term,
+    other,
+    split_operators,
+)
 
 LONGEST = 2**31 - 1  # samples, the greatest int32
 
 
-class Program(NamedTuple):
-    """A formula as arrays; their columns are named in stepper.py.
-
-    Attributes:
-        root: Boolean combination of temporal operators, a row each, int32.
-        nodes: parts of the formula inside temporal operators that have temporal operators inside, a row each,
-            children first, int32.
-        starts: first row in ``code`` of each formula without temporal operators, and the end, int32.
-        code: Boolean combinations of predicates, a row each, int32.
-        columns: of the sample vector, as the predicates read them, int32.
-        numbers: coefficients of the predicates and ends of ranges, float64.
-        size: of a world's memory, shape (1,), int32.
-    """
-
-    root: np.ndarray
-    nodes: np.ndarray
-    starts: np.ndarray
-    code: np.ndarray
-    columns: np.ndarray
-    numbers: np.ndarray
-    size: np.ndarray
-
-
-def make_program(
+def compile_formula(
     formula: Formula,
     period: float,
     areas: Mapping[str, AreaLike],
     bodies: Sequence[str],
     signals: Sequence[str],
     bounds: Mapping[str, Range] | None = None,
-) -> Program:
+) -> CompiledFormula:
     """Make the arrays that follow a formula.
 
     Args:
@@ -57,38 +45,34 @@ def make_program(
         period: between samples [s].
         areas: regions and obstacles by name.
         bodies: what ``all`` stands for.
-        signals: names in the order of the sample vector.
+        signals: names in the order of the sample.
         bounds: signals to intervals known beforehand, as for ``Monitor``.
 
     Raises:
-        FormulaError: an unknown area, or an interval without a sample.
+        FormulaError: an unknown area, an interval without a sample, or an operator without an online form.
         InputError: a period that is not positive, bounds that are empty, a signal the formula needs and the
-            sample vector has not, or a formula that looks too far ahead.
+            sample has not, or a formula that looks too far ahead.
     """
-    monitor = Monitor(formula, period, areas, tuple(bodies), bounds)  # checks the arguments
-    for name in monitor.formula.signals():
+    if not 0 < period < math.inf:
+        raise InputError(f"monitor: period {period} s must be finite and positive")
+    for name, (low, high) in (bounds or {}).items():
+        if not low <= high:
+            raise InputError(f"monitor: bounds [{low:g}, {high:g}] of signal '{name}' are empty")
+    formula = formula.expand(bodies)
+    for name in formula.signals():
         if name not in signals:
-            raise InputError(f"program: signal '{name}' is missing; {choices(name, signals)}")
-    if monitor.reach > LONGEST:
-        raise InputError(f"program: the formula looks {monitor.reach} samples ahead; at most {LONGEST} are possible")
+            raise InputError(f"monitor: signal '{name}' is missing; {choices(name, signals)}")
+    reach = formula.reach(period)
+    if reach > LONGEST:
+        raise InputError(f"monitor: the formula looks {reach} samples ahead; at most {LONGEST} are possible")
     builder = _Builder(bounds or {}, signals)
-    builder.add_root(make_term(monitor.formula, period, areas))
+    builder.add_root(split_operators(make_term(formula, period, areas)))
     return builder.finish()
-
-
-def memory_size(program: Program) -> int:
-    """Return how many numbers a world's memory holds.
-
-    One or two per temporal operator, whatever its horizon, and some for brackets. A temporal operator over others
-    needs rings for what is inside: two to four numbers per part and sample that the part is open, whatever the
-    outermost operator's horizon.
-    """
-    return int(program.size[0])
 
 
 @dataclass
 class _Node:
-    """A row of ``Program.nodes`` in the making.
+    """A row of ``CompiledFormula.nodes`` in the making.
 
     Attributes:
         earliest, reach: first and last sample that a value at instant 0 depends on.
@@ -97,7 +81,7 @@ class _Node:
     """
 
     kind: int
-    pick: Callable[..., float]
+    pick: Pick
     first: int
     last: int
     left: int
@@ -130,57 +114,67 @@ class _Builder:
         """Append the rows of a whole formula."""
         for kind, how, depth, leaf in _linearise(term, lambda part: is_state(part) or isinstance(part, Operator)):
             if leaf is None:
-                self.root.append([kind, how, 0, 0, 0, 0, 0, self._scratch("root", depth, 2), 0])
+                self.root.append([kind, how, 0, 0, 0, 0, 0, self._scratch("root", depth, 2), 0, 0, 0, 0, 0])
             else:  # what is no operator is about the first sample
                 self._add_operator(how, leaf if isinstance(leaf, Operator) else Operator(max, 0, 0, (leaf,)))
 
     def _add_operator(self, how: int, term: Operator) -> None:
+        """Append an operator of the root: over states, over an alternation that ends in one, or over nodes."""
         children, until = term.children, len(term.children) == 2
+        inner = _find_alternation(term)
+        windows = [number for operator in inner for number in (operator.first, operator.last)]
         unseen = 0
         if all(map(is_state, children)):
-            kind = stepper.UNTIL if until else stepper.EXTREME
+            kind = tables.UNTIL if until else tables.EXTREME
             operands = [self._add_state(child) for child in children]
-            ranges = [compute_range(child, self.bounds) for child in children]
-            unseen = self._add_numbers(combine_ranges(_other(term.pick), ranges))
+            unseen = self._add_numbers(compute_range(term, self.bounds))
+            size = len(children)
+        elif inner:
+            kind = tables.TWOFOLD if len(inner) == 1 else tables.THREEFOLD
+            operands = [self._add_state(inner[-1].children[0])]
+            unseen = self._add_numbers(compute_range(term, self.bounds))
+            size = alternation.compute_size([operator.last - operator.first + 1 for operator in inner])
         else:
-            kind = stepper.OPEN_UNTIL if until else stepper.OPEN_EXTREME
+            kind = tables.OPEN_UNTIL if until else tables.OPEN_EXTREME
             operands = [self._add_node(child) for child in children]
             reach = max(self.nodes[node].reach for node in operands)
             self.nodes[operands[0]].need(0 if until else term.first, term.last, reach)
             self.nodes[operands[-1]].need(term.first, term.last, reach)
-        row = [term.first, term.last, operands[0], operands[-1], self._allocate(len(children)), unseen]
-        self.root.append([kind, how, _code(term.pick), *row])
+            size = len(children)
+        row = [term.first, term.last, operands[0], operands[-1], self._allocate(size), unseen]
+        self.root.append([kind, how, _pick(term.pick), *row, *windows, *[0] * (4 - len(windows))])
 
     def _add_node(self, term: Term) -> int:
         """Return the node of a term."""
         if is_state(term):
             state = self._add_state(term)
-            return self._make_node(_Node(stepper.STATE_NODE, max, 0, 0, state, state, compute_range(term, self.bounds)))
+            return self._make_node(_Node(tables.STATE_NODE, max, 0, 0, state, state, compute_range(term, self.bounds)))
         if isinstance(term, Operator):
             nodes = [self._add_node(child) for child in term.children]
             if len(nodes) == 2:
                 return self._add_until(term.pick, term.first, term.last, *nodes)
-            return self._join(stepper.EXTREME_NODE, term.pick, term.first, term.last, nodes[0], nodes[0])
+            return self._join(tables.EXTREME_NODE, term.pick, term.first, term.last, nodes[0], nodes[0])
         assert isinstance(term, Combination)
         parts = [child for child in term.children if not is_state(child)]
         states = tuple(child for child in term.children if is_state(child))
         if states:
             parts.append(states[0] if len(states) == 1 else Combination(term.pick, states))
         nodes = [self._add_node(part) for part in parts]
-        return reduce(lambda a, b: self._join(stepper.JOIN_NODE, term.pick, 0, 0, a, b), nodes)
+        return reduce(lambda a, b: self._join(tables.JOIN_NODE, term.pick, 0, 0, a, b), nodes)
 
-    def _add_until(self, pick: Callable[..., float], first: int, last: int, left: int, right: int) -> int:
+    def _add_until(self, pick: Pick, first: int, last: int, left: int, right: int) -> int:
         """Return the node of p U[a,b] q = G[0,a] p and F[a,a] (p U[0,b-a] q); the second part is one node."""
-        until = self._join(stepper.UNTIL_NODE, pick, first, last, left, right)
+        until = self._join(tables.UNTIL_NODE, pick, first, last, left, right)
         if first == 0:
             return until
-        held = self._join(stepper.EXTREME_NODE, _other(pick), 0, first, left, left)
-        return self._join(stepper.JOIN_NODE, _other(pick), 0, 0, held, until)
+        held = self._join(tables.EXTREME_NODE, other(pick), 0, first, left, left)
+        return self._join(tables.JOIN_NODE, other(pick), 0, 0, held, until)
 
-    def _join(self, kind: int, pick: Callable[..., float], first: int, last: int, left: int, right: int) -> int:
+    def _join(self, kind: int, pick: Pick, first: int, last: int, left: int, right: int) -> int:
         children = [self.nodes[left], self.nodes[right]]
-        gather = _other(pick) if kind == stepper.UNTIL_NODE else pick
-        node = _Node(kind, pick, first, last, left, right, combine_ranges(gather, [child.range for child in children]))
+        gather = other(pick) if kind == tables.UNTIL_NODE else pick
+        ends = combine_ranges(gather, [child.range for child in children])
+        node = _Node(kind, pick, first, last, left, right, ends)
         node.earliest = first + min(child.earliest for child in children)
         node.reach = last + max(child.reach for child in children)
         return self._make_node(node)
@@ -197,6 +191,7 @@ class _Builder:
         if ("state", term) not in self._known:
             self._known["state", term] = len(self.starts) - 1
             for kind, how, depth, leaf in _linearise(term, lambda part: not isinstance(part, Combination)):
+                assert not isinstance(leaf, Combination | Operator)
                 if leaf is None:
                     self.code.append([kind, how, 0, self._scratch("state", depth, 1), 0])
                 else:
@@ -204,20 +199,11 @@ class _Builder:
             self.starts.append(len(self.code))
         return self._known["state", term]
 
-    def _add_predicate(self, how: int, margin: Any) -> None:
-        names: tuple[str, ...]
-        if isinstance(margin, AreaMargin):
-            kind, names, count = stepper.AREA, (margin.x, margin.y), len(margin.faces)
-            numbers = [number for face in margin.faces for number in face]
-        elif isinstance(margin, LinearMargin):
-            kind, names, count = stepper.LINEAR, tuple(name for name, _ in margin.terms), len(margin.terms)
-            numbers = [margin.bound, *(coefficient for _, coefficient in margin.terms)]
-        else:
-            kind = stepper.SPEED if margin.tail is None else stepper.DISTANCE
-            names, count, numbers = (*margin.head, *(margin.tail or ())), 0, [margin.bound]
+    def _add_predicate(self, how: int, margin: Margin) -> None:
+        kind, names, numbers, count = margin.encode()
         column = len(self.columns)
         self.columns += (self.column_of[name] for name in names)
-        self.code.append([kind, how, column, self._add_numbers((margin.sign, *numbers)), count])
+        self.code.append([kind, how, column, self._add_numbers(numbers), count])
 
     def _add_numbers(self, numbers: Sequence[float]) -> int:
         self.numbers += numbers
@@ -232,32 +218,42 @@ class _Builder:
             self._known[user, depth] = self._allocate(size)
         return self._known[user, depth]
 
-    def finish(self) -> Program:
+    def finish(self) -> CompiledFormula:
         """Return the arrays."""
         for node in reversed(self.nodes):
-            if node.kind != stepper.STATE_NODE:
+            if node.kind != tables.STATE_NODE:
                 for child in (node.left, node.right):
                     window = node.start + node.first, node.end + node.last
                     self.nodes[child].need(*window, node.reach - node.first)
         rows = [self._finish_node(node) for node in self.nodes]
-        return Program(
-            _table(self.root, stepper.UNSEEN + 1),
-            _table(rows, stepper.STRIDE + 1),
+        return CompiledFormula(
+            _table(self.root, tables.LAST_3 + 1),
+            _table(rows, tables.STRIDE + 1),
             np.array(self.starts, np.int32),
-            _table(self.code, stepper.COUNT + 1),
+            _table(self.code, tables.COUNT + 1),
             np.array(self.columns, np.int32),
             np.array(self.numbers, np.float64),
-            np.array([self.size], np.int32),
+            self.size,
         )
 
     def _finish_node(self, node: _Node) -> list[int]:
         """Return a node's row; the length of its ring is a power of two, so that places are found by masking."""
-        stride = 1 if node.kind == stepper.STATE_NODE else 2
+        stride = 1 if node.kind == tables.STATE_NODE else 2
         length = min(node.oldest - node.earliest, node.end - node.start) + 1
         length = 1 << (length - 1).bit_length()
         slot, unseen = self._allocate(stride * length), self._add_numbers(node.range)
-        head = [node.kind, 0, _code(node.pick), node.first, node.last, node.left, node.right, slot, unseen]
+        head = [node.kind, 0, _pick(node.pick), node.first, node.last, node.left, node.right, slot, unseen]
         return [*head, node.earliest, node.reach, node.start, node.end, length - 1, stride]
+
+
+def _find_alternation(term: Operator) -> tuple[Operator, ...]:
+    """Return the one or two operators inside one that alternate with it over a state; none if it is no alternation."""
+    found, innermost = list[Operator](), term
+    while len(innermost.children) == 1 and isinstance(innermost.children[0], Operator):
+        innermost = innermost.children[0]
+        found.append(innermost)
+    over_state = len(innermost.children) == 1 and is_state(innermost.children[0])
+    return tuple(found) if over_state and len(found) <= 2 else ()
 
 
 def _linearise(
@@ -265,26 +261,22 @@ def _linearise(
 ) -> Iterator[tuple[int, int, int, Term | None]]:
     """Yield the steps of a Boolean combination: kind, how it joins, depth of brackets, and the leaf if it is one."""
     if is_leaf(term):
-        yield -1, stepper.SET, depth, term
+        yield -1, tables.SET, depth, term
         return
     assert isinstance(term, Combination)
     yield from _linearise(term.children[0], is_leaf, depth)
-    how = _code(term.pick)
+    how = _pick(term.pick)
     for child in term.children[1:]:
         if is_leaf(child):
             yield -1, how, depth, child
         else:
-            yield stepper.PUSH, stepper.SET, depth, None
+            yield tables.PUSH, tables.SET, depth, None
             yield from _linearise(child, is_leaf, depth + 1)
-            yield stepper.POP, how, depth, None
+            yield tables.POP, how, depth, None
 
 
-def _code(pick: Callable[..., float]) -> int:
-    return stepper.MAX if pick is max else stepper.MIN
-
-
-def _other(pick: Callable[..., float]) -> Callable[..., float]:
-    return min if pick is max else max
+def _pick(pick: Pick) -> int:
+    return tables.MAX if pick is max else tables.MIN
 
 
 def _table(rows: list[list[int]], width: int) -> np.ndarray:
