@@ -214,7 +214,8 @@ def make_methods(problem: TrackingProblem) -> dict[str, Callable[[TrackingTask],
         return workspace.solution[0, :3].copy(), seconds
 
     def by_lqr(task: TrackingTask) -> tuple[np.ndarray, float]:
-        ax, ay = (task.states[1, 3:5] - task.states[0, 3:5]) / task.durations[0]
+        (x, y), cos, sin = problem.gains[:2] * task.inputs[0, :2], np.cos(task.state[2]), np.sin(task.state[2])
+        ax, ay = cos * x - sin * y, sin * x + cos * y
         begin = time.thread_time()
         feed_back_again(task.state, task.states, ax, ay, pilot, first, AGAIN)
         return first.copy(), (time.thread_time() - begin) / AGAIN
@@ -251,7 +252,7 @@ def solve_all(robots: list[Problems]) -> Iterator[Solve]:
 
 
 def time_solvers(robots: list[Problems]) -> list[dict[str, Any]]:
-    """Return rows of how long each method takes for the same problems, and how far its first inputs are from the MPC's."""
+    """Return rows of how long each method takes for the same problems, and how far its first inputs are from mpc's."""
     solves, rows = list(solve_all(robots)), []
     reference = {solve.problem: solve.first for solve in solves if solve.method == MPC}
     for where, jumps in (("all", (False, True)), ("no impact ahead", (False,)), ("impact ahead", (True,))):
