@@ -140,8 +140,8 @@ def make_published(scenario: FreeFlyerScenario, plan: Plan) -> Loop:
     """
     if not plan.impacts:
         raise InputError(f"the plan of {plan.scenario} has no impacts: nothing to track the published way")
-    tracker, acts = PublishedInPart(), list[float]()
-    env, expert = parallel_env(scenario), make_expert(scenario, plan, tracker=tracker)
+    env, tracker, acts = parallel_env(scenario), PublishedInPart(), list[float]()
+    expert = make_expert(scenario, plan, tracker=tracker)
     impact = round(plan.impacts[0].time / scenario.control_period)
 
     def run(steps: int) -> float:
@@ -252,7 +252,7 @@ def solve_all(robots: list[Problems]) -> Iterator[Solve]:
 
 
 def time_solvers(robots: list[Problems]) -> list[dict[str, Any]]:
-    """Return rows of how long each method takes for the same problems, and how far its first inputs are from mpc's."""
+    """Return how long each method takes for the same problems, and how far its first inputs are from the MPC's."""
     solves, rows = list(solve_all(robots)), []
     reference = {solve.problem: solve.first for solve in solves if solve.method == MPC}
     for where, jumps in (("all", (False, True)), ("no impact ahead", (False,)), ("impact ahead", (True,))):

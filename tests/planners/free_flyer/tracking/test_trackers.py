@@ -14,9 +14,10 @@ import pytest
 import planners
 from impact_envs import InputError, load_scenario, parallel_env, rollout
 from impact_envs.rollout import Episode
-from planners import SolverFailed, make_expert, make_expert_batch
+from planners import SolverFailed, make_expert
 from planners.free_flyer.belief.options import EXPERT
 from planners.free_flyer.expert import FreeFlyerExpert
+from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
 from planners.free_flyer.tracking.casadi_mpc import CasadiTracker
 from planners.free_flyer.tracking.cvxpy_mpc import CvxpyMpc, CvxpyTracker, build_cvxpy_mpc, compute_stage
 from planners.free_flyer.tracking.lqr import solve_lqr
@@ -278,10 +279,11 @@ def test_unknown_trackers_are_refused(tracker: Any, message: str) -> None:
 
 @pytest.mark.parametrize(("tracker", "label"), [("casadi", "'casadi'"), (MpcTracker(), "MpcTracker")])
 def test_many_worlds_take_compiled_trackers_only(tracker: Any, label: str) -> None:
-    plan = get_plan(SCENARIO, "nominal")
-    assert make_expert_batch(SCENARIO, 2, plan, tracker="lqr").count == 2
+    scenario, plan = load_scenario(SCENARIO), get_plan(SCENARIO, "nominal")
+    assert plan is not None
+    assert FreeFlyerExpertBatch(scenario, plan, 2, tracker="lqr").count == 2
     with pytest.raises(InputError, match=f"tracker {label} follows one world; experts of many worlds take mpc or lqr"):
-        make_expert_batch(SCENARIO, 2, plan, tracker=tracker)
+        FreeFlyerExpertBatch(scenario, plan, 2, tracker=tracker)
 
 
 def test_domain_without_trackers_says_so() -> None:
