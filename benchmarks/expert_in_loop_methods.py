@@ -140,8 +140,8 @@ def make_published(scenario: FreeFlyerScenario, plan: Plan) -> Loop:
     """
     if not plan.impacts:
         raise InputError(f"the plan of {plan.scenario} has no impacts: nothing to track the published way")
-    tracker, acts = PublishedInPart(), list[float]()
-    env, expert = parallel_env(scenario), make_expert(scenario, plan, options={"tracker": tracker})
+    env, tracker, acts = parallel_env(scenario), PublishedInPart(), list[float]()
+    expert = make_expert(scenario, plan, tracker=tracker)
     impact = round(plan.impacts[0].time / scenario.control_period)
 
     def run(steps: int) -> float:
@@ -214,7 +214,8 @@ def make_methods(problem: TrackingProblem) -> dict[str, Callable[[TrackingTask],
         return workspace.solution[0, :3].copy(), seconds
 
     def by_lqr(task: TrackingTask) -> tuple[np.ndarray, float]:
-        ax, ay = (task.states[1, 3:5] - task.states[0, 3:5]) / task.durations[0]
+        (x, y), cos, sin = problem.gains[:2] * task.inputs[0, :2], np.cos(task.state[2]), np.sin(task.state[2])
+        ax, ay = cos * x - sin * y, sin * x + cos * y
         begin = time.thread_time()
         feed_back_again(task.state, task.states, ax, ay, pilot, first, AGAIN)
         return first.copy(), (time.thread_time() - begin) / AGAIN
