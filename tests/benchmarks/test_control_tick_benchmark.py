@@ -9,7 +9,7 @@ import pytest
 
 from impact_envs.errors import InputError
 from planners.dual_arm.dense_qp import solve_daqp
-from planners.dual_arm.programs import FREE, GRASP
+from planners.dual_arm.torque_qp import FREE, GRASP
 
 SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "control_tick.py"
 
@@ -53,7 +53,7 @@ def test_peers_agree_on_a_program_of_each_shape(benchmark: ModuleType) -> None:
     controller.reset()
     for k, tick in enumerate(ticks):
         controller.control(*tick)
-        program = controller.program
+        program = controller.qp
         shape = program.A.shape[::-1]
         if shape not in seen and k > 200:
             seen.add(shape)
