@@ -11,20 +11,19 @@ import torch
 from pydantic import Field
 from torch import nn
 
-from agents.checkpoint import Record, check_tensors, read_record, read_tensors, write_record, write_tensors
+from agents.checkpoint import JsonRecord, check_tensors, read_record, read_tensors, write_record, write_tensors
 from impact_envs.errors import InputError
 
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
 Size = Annotated[int, Field(ge=1, le=4096)]
 
 
-class PolicyRecord(Record):
-    """What policy.json says: the network's architecture and where it comes from.
+class PolicyRecord(JsonRecord):
+    """The content of policy.json: the network's architecture and origin.
 
     Attributes:
         format_version: of the two files.
-        scenario, domain, suite: what it was trained on.
-        algorithm: what it was trained with.
+        scenario, domain, suite, algorithm: of the training.
         feature_size, correction_size: input and output of the network; the expert must offer the same.
         hidden: width of each hidden layer.
         squash: how the output is kept in [-1, 1].
@@ -38,7 +37,7 @@ class PolicyRecord(Record):
     scenario: str
     domain: str
     suite: str
-    algorithm: Literal["ppo", "sac"]
+    algorithm: Annotated[str, Field(min_length=1)]
     feature_size: Size
     correction_size: Size
     hidden: Annotated[tuple[Size, ...], Field(max_length=8)]
@@ -138,7 +137,7 @@ def save_policy(directory: str | Path, actor: Actor, record: PolicyRecord) -> No
 
 
 def load_policy(directory: str | Path) -> tuple[Actor, PolicyRecord]:
-    """Read an actor; nothing in the files is run.
+    """Read an actor; nothing in the files is executed.
 
     Args:
         directory: checkpoint directory.

@@ -1,4 +1,4 @@
-"""Checkpoint files: safetensors and JSON, written all or nothing, read strictly and without running code."""
+"""Checkpoint files: safetensors and JSON, written all or nothing, read strictly, nothing in them is executed."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from safetensors.numpy import load_file, save
 from impact_envs.errors import InputError, choices
 
 
-class Record(BaseModel):
-    """A JSON file of a checkpoint: frozen, strictly typed, and a key it does not know is an error."""
+class JsonRecord(BaseModel):
+    """A JSON file of a checkpoint: frozen, strictly typed, unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-R = TypeVar("R", bound=Record)
+R = TypeVar("R", bound=JsonRecord)
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that a reader sees the old content or the new, never a part.
+    """Write a file so that a reader sees the old content or the new content, never a part.
 
     Args:
         path: file to write; its folder is made if missing.
@@ -46,12 +46,11 @@ def write_atomically(path: Path, data: bytes) -> None:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def write_record(path: Path, record: Record) -> None:
+def write_record(path: Path, record: JsonRecord) -> None:
     """Write a record as JSON, all or nothing.
 
     Args:
         path: file to write.
-        record: what to write.
 
     Raises:
         InputError: the file cannot be written.
@@ -60,11 +59,11 @@ def write_record(path: Path, record: Record) -> None:
 
 
 def read_record(path: Path, schema: type[R]) -> R:
-    """Read a record and check every key of it.
+    """Read a record and check all its keys.
 
     Args:
         path: JSON file.
-        schema: what it must hold.
+        schema: class of the record.
 
     Raises:
         InputError: one line naming the file and the key.
@@ -121,8 +120,8 @@ def check_tensors(path: Path, tensors: Mapping[str, np.ndarray], expected: Mappi
 
     Args:
         path: file they were read from, for the message.
-        tensors: what was read.
-        expected: arrays of the shapes and types that are wanted.
+        tensors: as read.
+        expected: arrays of the expected shapes and types.
 
     Raises:
         InputError: one line naming the file and the tensor.

@@ -56,18 +56,17 @@ class CorrectableExpert(Policy, Protocol):
 class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """Correct an expert: one step lasts from one awaited correction to the next (semi-Markov).
 
-    Action space: ``Box(-1, 1, (correction_size,))``; zero is the expert, bit for bit. What a correction
-    changes is the expert's matter; a free-flyer's is the impulse of the coming impact, its size and its
-    direction.
+    Action space: ``Box(-1, 1, (correction_size,))``; zero is the expert, bit for bit. Each expert says what a
+    correction changes; a free-flyer's scales and turns the impulse of the coming impact.
 
-    Observation space: the expert's features, float64, SI units, made from measurements and beliefs only.
+    Observation space: the expert's features, float64, SI units, computed from measurements and beliefs only.
 
-    Rewards: ImpactEnv's, summed over agents and over the control steps in between; what comes before the
-    first awaited correction is added to the first step, so that the return is that of the whole episode.
+    Rewards: ImpactEnv's, summed over agents and over the control steps in between; those before the
+    first awaited correction are added to the first step, so that the return is that of the whole episode.
 
     Starting state: the first time a correction is awaited. ``reset(seed=s)`` plays episode s; without a seed
     the episode's seed is drawn below 1,000,000 from the environment's generator, which the last given seed
-    started.
+    initialised.
 
     Episode end: never ``terminated``; ``truncated`` at the scenario's horizon, or where ``max_cycles`` cuts earlier.
 
@@ -138,7 +137,7 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
         Returns:
             Features, reward, terminated, truncated, info. If no correction was ever awaited, the first step
-            only hands out the episode's reward.
+            only returns the episode's reward.
         """
         if self.parallel.agents:
             self._steps = 0
@@ -178,8 +177,8 @@ class ResidualPolicy:
     """An expert plus learned bounded corrections.
 
     Args:
-        expert: who acts and asks.
-        actor: map from features, shape (feature_size,), to a correction in [-1, 1], shape (correction_size,).
+        expert: to correct.
+        actor: maps features, shape (feature_size,), to a correction in [-1, 1], shape (correction_size,).
         name: of the policy in episodes and tables.
     """
 
@@ -196,7 +195,7 @@ class ResidualPolicy:
         """Read a checkpoint and put it on the scenario's expert.
 
         Args:
-            directory: folder with policy.safetensors and policy.json; nothing in it is run.
+            directory: folder with policy.safetensors and policy.json; nothing in it is executed.
             scenario: a shipped name, the path of a TOML file, or a Scenario; only its believed part is used.
             plan: plan for the expert to follow; made if not given.
 

@@ -24,10 +24,10 @@ class ImpactVecEnv(VecEnv):
     Environment k is world k, seen as JointEnv. With ``per_robot``, robot i of world w is environment
     ``w * robots + i``, seen as its agent in ImpactEnv: PPO or SAC then learn one policy that all robots share.
 
-    ``infos[k]`` is empty but where an episode ended: ``terminal_observation`` (the last one, not the next episode's
-    first), ``TimeLimit.truncated`` (true: an end is never a termination, so the learner adds the value of the last
-    observation), ``episode`` (return ``r``, length ``l`` and seconds since ``reset`` ``t``, as SB3's Monitor),
-    ``robustness``, ``success``, and ``is_success``, the name of which SB3 logs the rate.
+    ``infos[k]`` is empty except at the end of an episode: ``terminal_observation`` (its last one, not the next
+    episode's first), ``TimeLimit.truncated`` (always true: the learner adds the value of the last observation),
+    ``episode`` (return ``r``, length ``l`` and seconds since ``reset`` ``t``, as SB3's Monitor), ``robustness``,
+    ``success``, and ``is_success``, of which SB3 logs the rate.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario; of discs.
@@ -35,7 +35,7 @@ class ImpactVecEnv(VecEnv):
         per_robot: one environment per robot rather than per world.
         max_cycles: truncate earlier than the horizon [control periods].
         dtype: of observations and of what the worlds store.
-        threads: that share the worlds; all cores if not given.
+        threads: number that share the worlds; default: all cores.
 
     Raises:
         ScenarioError: the scenario cannot be read.
@@ -79,7 +79,7 @@ class ImpactVecEnv(VecEnv):
         self._forget()
 
     def reset(self) -> np.ndarray:
-        """Start an episode in every world, of the seeds given to ``seed`` since the last reset.
+        """Start an episode in every world, with the seeds given to ``seed`` since the last reset.
 
         Returns:
             Observations, shape (num_envs, size).
@@ -91,7 +91,7 @@ class ImpactVecEnv(VecEnv):
         return self._view(observations, "agent_observations")
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the actions of the coming step.
+        """Store the actions of the next step.
 
         Args:
             actions: in [-1, 1], shape (num_envs, 3 robots), or (num_envs, 3) per robot.
@@ -111,7 +111,7 @@ class ImpactVecEnv(VecEnv):
             Observations, shape (num_envs, size); rewards and ends, shape (num_envs,); infos.
 
         Raises:
-            InputError: before ``step_async``, or an action that is no finite number.
+            InputError: before ``step_async``, or an action that is not finite.
         """
         if self._actions is None:
             raise InputError("step_wait before step_async: call step_async or step first")
@@ -133,10 +133,10 @@ class ImpactVecEnv(VecEnv):
         self.worlds.close()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed the worlds at the next reset; after it their generators go on.
+        """Seed the worlds at the next reset; their generators continue after it.
 
         Args:
-            seed: of world 0, world w gets seed + w; drawn if not given.
+            seed: of world 0, world w gets seed + w; default: drawn at random.
 
         Returns:
             The seed of each environment's world.
@@ -147,7 +147,7 @@ class ImpactVecEnv(VecEnv):
         return self._seeds
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Take no options: a reset has none.
+        """Refuse options: a reset has none.
 
         Raises:
             InputError: an option.
@@ -184,7 +184,7 @@ class ImpactVecEnv(VecEnv):
         raise InputError(f"method '{method_name}' of single worlds cannot be called; use JointEnv or ImpactEnv")
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None) -> list[bool]:
-        """Return whether each environment does what a wrapper would add: of SB3's Monitor alone."""
+        """Return whether each environment does the work of a wrapper; true for SB3's Monitor only."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
     def _view(self, of_worlds: np.ndarray, of_robots: str) -> np.ndarray:

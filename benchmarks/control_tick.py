@@ -32,8 +32,8 @@ from impact_envs.errors import InputError
 from impact_envs.scenario import load_scenario
 from planners.dual_arm.dense_qp import get_solver
 from planners.dual_arm.expert import DualArmExpert
-from planners.dual_arm.programs import EQUALITIES, FREE, GRASP, QDD, Program, make_program
 from planners.dual_arm.reference_spreading import ReferenceSpreading
+from planners.dual_arm.torque_qp import EQUALITIES, FREE, GRASP, QDD, TorqueQP, make_torque_qp
 
 TOLERANCE, MOST_ITERATIONS = 1e-6, 20_000  # of OSQP, absolute and relative
 OURS = "ours"
@@ -49,7 +49,7 @@ off: greatest difference of a torque from ours."""
 Tick = tuple[np.ndarray, np.ndarray, np.ndarray]  # joint angles and rates, forces
 Shape = tuple[int, int]  # of a program
 Pattern = tuple[np.ndarray, np.ndarray]  # where H and A are not zero
-Peer = Callable[[Program], Callable[[], np.ndarray]]
+Peer = Callable[[TorqueQP], Callable[[], np.ndarray]]
 
 
 @dataclass
@@ -139,7 +139,7 @@ def record_ticks(scenario: DualArmScenario, controller: ReferenceSpreading) -> t
     for _ in range(round(scenario.horizon / scenario.tick)):
         ticks.append((*model.joints(), model.contacts()[:4, NORMAL]))
         model.tick(controller.control(*ticks[-1]))
-        program = controller.program
+        program = controller.qp
         for mask, matrix in zip(patterns[program.A.shape[::-1]], (program.H, program.A), strict=True):
             mask |= matrix != 0.0
     return ticks, patterns
@@ -170,7 +170,7 @@ def measure(
         _add(found, controller.phase, OURS, before, after, 0.0)
         if k % (SHORT if controller.phase == "interim" else every):
             continue
-        program = controller.program
+        program = controller.qp
         torques = solve(program)[:QDD]
         for method, peer in peers[program.A.shape[::-1]].items():
             hand_over = peer(program)
@@ -222,7 +222,7 @@ def make_cvxpy(shape: Shape, limits: np.ndarray, solver: str, options: dict[str,
         constraints.append(C @ x >= 0.0)
     problem = cp.Problem(cp.Minimize(0.5 * cp.sum_squares(F @ x - g)), constraints)
 
-    def hand_over(program: Program) -> Callable[[], np.ndarray]:
+    def hand_over(program: TorqueQP) -> Callable[[], np.ndarray]:
         factor = np.linalg.cholesky(program.H).T
         center = np.linalg.solve(factor.T, -program.f)
 
@@ -242,7 +242,7 @@ def make_cvxpy(shape: Shape, limits: np.ndarray, solver: str, options: dict[str,
 def make_osqp(shape: Shape, pattern: Pattern, limits: np.ndarray) -> Peer:
     """Return who updates the numbers of one OSQP problem, with the zeros that never change left out, and solves it."""
     osqp = import_module("osqp")  # has no types
-    n, first = shape[0], make_program(shape, limits)
+    n, first = shape[0], make_torque_qp(shape, limits)
     above = sparse.csc_matrix(np.triu(pattern[0]).astype(float))
     rows = sparse.csc_matrix(np.vstack([np.eye(QDD, n), pattern[1].astype(float)]))
     (i, j), (row, column) = (_list_entries(matrix) for matrix in (above, rows))
@@ -259,7 +259,7 @@ def make_osqp(shape: Shape, pattern: Pattern, limits: np.ndarray) -> Peer:
         verbose=False,
     )
 
-    def hand_over(program: Program) -> Callable[[], np.ndarray]:
+    def hand_over(program: TorqueQP) -> Callable[[], np.ndarray]:
         Px, Ax = program.H[i, j].copy(), np.vstack([np.eye(QDD, n), program.A])[row, column]
 
         def solve() -> np.ndarray:

@@ -11,6 +11,24 @@ from impact_envs.errors import InputError, choices
 Options = TypeVar("Options")
 
 
+def select_options(variant: str | None, variants: Mapping[str, Options], expert: Options) -> Options:
+    """Return the options of a variant.
+
+    Args:
+        variant: name of a variant, or None for the expert itself.
+        variants: name to options.
+        expert: options of the expert itself.
+
+    Raises:
+        InputError: unknown variant.
+    """
+    if variant is None:
+        return expert
+    if variant not in variants:
+        raise InputError(f"variant '{variant}' is unknown; {choices(variant, variants)}")
+    return variants[variant]
+
+
 def list_options(options: Any) -> dict[str, Any]:
     """Return the values of all options by dotted names.
 

@@ -17,7 +17,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import tyro
 from rich.console import Console
@@ -131,7 +131,7 @@ class Train:
     """Shipped name or TOML file."""
     suite: str = "restitution"
     """Mismatch suite to train under."""
-    algo: Literal["ppo", "sac"] = "ppo"
+    algo: str = "ppo"
     """Learning algorithm."""
     steps: int = 20_000
     """Decisions to train for."""

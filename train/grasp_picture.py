@@ -129,7 +129,7 @@ def _draw_ante(axes: Axes, scenario: DualArmScenario, controller: ReferenceSprea
     hit = _find_hit(episode)
     _draw_bodies(axes, scenario, episode, 0)
     paths = {arm: np.array([signals[f"{arm}.x"][: hit + 1], signals[f"{arm}.y"][: hit + 1]]) for arm in scenario.arms}
-    points = np.hstack([*paths.values(), field.box[:2, None] + field.shape[2], field.box[:2, None] - field.shape[2]])
+    points = np.hstack([*paths.values(), field.box[:2, None] + field.r_max, field.box[:2, None] - field.r_max])
     low, high = points.min(axis=1) - MARGIN, points.max(axis=1) + MARGIN
     size = _measure_box(scenario)
     for i, (arm, color) in enumerate(zip(scenario.arms, ARMS, strict=True)):
@@ -140,8 +140,8 @@ def _draw_ante(axes: Axes, scenario: DualArmScenario, controller: ReferenceSprea
         axes.plot(*paths[arm], color=color, lw=2.0, label=f"{arm.replace('_', ' ')}: pad's path")
         axes.plot(*field.points[i], "x", color=INK, ms=6, mew=1.5, label="impact as meant" if i == 0 else None)
     for radius, dashes, label in (
-        (field.shape[1], "-", "impact velocity within"),
-        (field.shape[2], "--", "extension alone beyond"),
+        (field.r_min, "-", "impact velocity within"),
+        (field.r_max, "--", "extension alone beyond"),
     ):
         _draw_circle(axes, field.box[:2], radius, dashes, label)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x [m]", ylabel="y [m]")
@@ -171,12 +171,12 @@ def _draw_box_field(axes: Axes, field: PostField, low: np.ndarray, high: np.ndar
     grid = _make_grid(low, high)
     velocity = np.array([compute_post_reference(field, x, y, field.target[2])[:2] for x, y in grid])
     axes.quiver(*grid.T, *velocity.T, color=BOX, alpha=0.6, width=0.003, scale=20.0)
-    if field.shape[3] > 0.0:
+    if field.blend:
         axes.quiver(
             *field.start[:2], *field.twist[:2], color=hex_color(drawing.IMPACT), width=0.006, scale=2.5, zorder=4,
             label="predicted velocity",
         )  # fmt: skip
-        _draw_circle(axes, field.start[:2], field.shape[2], "--", "blended within")
+        _draw_circle(axes, field.start[:2], field.r_max, "--", "blended within")
 
 
 def _draw_impact(rows: list[Axes], scenario: DualArmScenario, controller: ReferenceSpreading, episode: Episode) -> None:
@@ -195,7 +195,7 @@ def _draw_impact(rows: list[Axes], scenario: DualArmScenario, controller: Refere
             reference = [compute_ante_velocity(controller.field, i, x, y)[axis] for x, y in way]
             label = "reference" if i == 0 else None
             axes.plot(times[ante], reference, color=GREY, lw=THIN, ls="--", label=label)
-        if controller.post_field and controller.post_field.shape[3] > 0.0:
+        if controller.post_field and controller.post_field.blend:
             red = hex_color(drawing.IMPACT)
             axes.plot(controller.switches["post"], controller.predicted[axis], "o", color=red, ms=4, label="predicted")
     for arm, color in zip(scenario.arms, ARMS, strict=True):

@@ -16,21 +16,23 @@ import time
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, SupportsFloat, cast
+from typing import Any, SupportsFloat, cast
 
 import gymnasium
 import numpy as np
 import pandas as pd
 import torch
 import tyro
-from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
 
+from agents import sb3
 from agents.actor import PolicyRecord, save_policy
 from agents.residual import TRAINING_SEEDS, ResidualEnv, ResidualPolicy
-from agents.sb3 import Model, export_actor, load_training, read_training, save_training, start_at_expert
+from agents.sb3 import export_actor
+from agents.training_state import load_training, read_training, save_training
 from impact_envs.env import parallel_env
 from impact_envs.errors import InputError
 from impact_envs.reward import compute_potential
@@ -44,8 +46,6 @@ from train.watch import EpisodeLog, show_progress, stop_on_signals
 
 # Tuning seeds start here; evaluation seeds start at 2,000,000.
 TUNING_SEEDS = 1_000_000
-# Corrections that SAC learns from.
-REPLAY_SIZE = 100_000
 # Arguments that decide what a checkpoint means; a resumed run must have the same.
 FIXED = ("scenario", "suite", "algo", "seed", "n_envs", "hidden")
 
@@ -58,8 +58,8 @@ class Args:
     """Shipped name or path of a TOML file."""
     suite: str = "restitution"
     """Mismatch suite of the true world."""
-    algo: Literal["ppo", "sac"] = "ppo"
-    """Learning algorithm."""
+    algo: str = "ppo"
+    """Learning algorithm, see agents.sb3.ALGORITHMS."""
     steps: int = 8192
     """Corrections to answer in the whole run; a free-flyer asks for one per impact, the others periodically."""
     out: Path = Path("runs/residual")
@@ -150,8 +150,7 @@ def check_args(args: Args) -> None:
     for name, low in (least | {"eval_every": 0, "eval_episodes": 1}).items():
         if getattr(args, name) < low:
             raise InputError(f"{name} {getattr(args, name)} is too small; choices: {low}, {low + 1}, ...")
-    if args.algo not in ("ppo", "sac"):
-        raise InputError(f"algo '{args.algo}' is unknown; choices: ppo, sac")
+    sb3.check_algorithm(args.algo)
     if args.rollout % args.n_envs:
         raise InputError(f"rollout {args.rollout} is not a multiple of n_envs {args.n_envs}")
     if not args.hidden or min(args.hidden) < 1:
@@ -227,30 +226,16 @@ def _make_env(scenario: Scenario, suite: str, plan: Plan | None, apart: bool) ->
     return DecidedEnds(ResidualEnv(scenario, suite, plan))
 
 
-def make_model(args: Args, envs: VecNormalize) -> Model:
+def make_model(args: Args, envs: VecNormalize) -> BaseAlgorithm:
     """Make a model that starts exactly at the expert.
-
-    gamma = 1: an episode has few decisions, and its return is what counts.
 
     Args:
         args: arguments of the run.
         envs: training environments.
     """
-    network = {"net_arch": list(args.hidden), "activation_fn": torch.nn.Tanh}
-    model: Model
-    if args.algo == "ppo":
-        # A run shorter than a rollout still learns once.
-        steps = max(2, min(args.rollout, args.steps) // args.n_envs)
-        model = PPO(
-            "MlpPolicy", envs, args.learning_rate, steps, min(args.batch, steps * args.n_envs),
-            gamma=1.0, gae_lambda=1.0, policy_kwargs=network, seed=args.seed, device="cpu",
-        )  # fmt: skip
-    else:
-        model = SAC(
-            "MlpPolicy", envs, args.learning_rate, REPLAY_SIZE, args.batch, args.batch,
-            gamma=1.0, gradient_steps=-1, policy_kwargs=network, seed=args.seed, device="cpu",
-        )  # fmt: skip
-    start_at_expert(model, args.log_std)
+    steps = min(args.rollout, args.steps)  # a run shorter than a rollout still learns once
+    options = sb3.LearningOptions(args.hidden, args.learning_rate, steps, args.batch, args.log_std, args.seed)
+    model = sb3.make_model(args.algo, envs, options)
     model.set_logger(
         configure(str(args.out / "tensorboard") if args.log else None, ["tensorboard"] if args.log else [])
     )
@@ -264,14 +249,16 @@ class Run:
         args: arguments of the run.
         scenario: what is trained on.
         plan: for the expert to follow, if it follows one.
-        model: PPO or SAC; with ``args.resume`` the last checkpoint is put into it.
+        model: to train; with ``args.resume`` the last checkpoint is put into it.
         envs: training environments; they are seeded anew, from seed and steps.
 
     Raises:
         InputError: the checkpoint does not fit the arguments.
     """
 
-    def __init__(self, args: Args, scenario: Scenario, plan: Plan | None, model: Model, envs: VecNormalize) -> None:
+    def __init__(
+        self, args: Args, scenario: Scenario, plan: Plan | None, model: BaseAlgorithm, envs: VecNormalize
+    ) -> None:
         self._args, self._scenario, self._model, self._envs = args, scenario, model, envs
         self._settings = _settings(args)
         self._expert = make_expert(scenario.suite(args.suite), plan)

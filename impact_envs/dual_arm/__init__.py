@@ -1,4 +1,4 @@
-"""Two arms that grasp a box by hitting it from both sides at once."""
+"""Two arms that grasp a box by hitting it from both sides at once (van Steen, Coşgun, van de Wouw & Saccon)."""
 
 SCHEMA = "impact_envs.dual_arm.schema:DualArmScenario"
 MODEL = "impact_envs.dual_arm.model:DualArmModel"

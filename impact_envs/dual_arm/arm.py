@@ -1,8 +1,8 @@
-"""Kinematics and dynamics of a planar arm with three joints, as scalar functions.
+"""Kinematics and dynamics of a planar arm with three joints.
 
-Joint angles q are relative, absolute angles are their running sums a. Everything is written in a, where the mass matrix
-is H_ij = C_ij cos(a_i - a_j); a joint torque tau acts there as (tau_1 - tau_2, tau_2 - tau_3, tau_3).
-An arm is one row of numbers: base x, y, lengths 1 to 3, C_11, C_12, C_13, C_22, C_23, C_33, gravity loads G_1 to G_3.
+Joint angles q are relative; absolute angles a are their running sums. In a, the mass matrix is
+H_ij = C_ij cos(a_i - a_j), and joint torques tau act as (tau_1 - tau_2, tau_2 - tau_3, tau_3).
+An arm is a row of numbers: base x, y, lengths 1 to 3, C_11, C_12, C_13, C_22, C_23, C_33, gravity loads G_1 to G_3.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numba import njit
 from impact_envs.errors import InputError
 
 Three = tuple[float, float, float]
-# Places in an arm's row.
+# Columns of an arm's row.
 X, Y, L1, L2, L3, C11, C12, C13, C22, C23, C33, G1, G2, G3 = range(14)
 SIZE = 14
 
@@ -172,7 +172,7 @@ def solve_inverse_kinematics(arm: np.ndarray, pose: np.ndarray, elbow: int) -> n
     if not shortest < reach < longest:
         raise InputError(
             f"pose ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g}) is out of reach: the wrist would be {reach:.3g} m "
-            f"from the base, between {shortest:.3g} and {longest:.3g} m is possible"
+            f"from the base; {shortest:.3g} to {longest:.3g} m are possible"
         )
     bend = math.acos((reach**2 - arm[L1] ** 2 - arm[L2] ** 2) / (2 * arm[L1] * arm[L2])) * elbow
     first = math.atan2(y, x) - math.atan2(arm[L2] * math.sin(bend), arm[L1] + arm[L2] * math.cos(bend))

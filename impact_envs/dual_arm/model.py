@@ -1,4 +1,4 @@
-"""Two planar arms and a box on a table: compiled compliant contact, advanced one tick of held torques at a time."""
+"""Two planar arms and a box on a table with compliant contact, stepped one tick of held torques at a time."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from impact_envs.dual_arm.arm import compute_dynamics, compute_kinematics
-from impact_envs.dual_arm.plant import ARM, BOX, CONTACTS, NORMAL, STATE, TANGENTIAL, Plant, advance
-from impact_envs.dual_arm.record import add_tick, begin_period, make_record
+from impact_envs.dual_arm.grasp_record import add_tick, begin_period, make_grasp_record
+from impact_envs.dual_arm.plant import ARM, BOX, CONTACTS, NORMAL, STATE, TANGENTIAL, Plant, advance_state
 from impact_envs.dual_arm.schema import DualArmScenario, Physics
 from impact_envs.errors import InputError, choices
 from impact_envs.physics.impact import Impact
@@ -21,9 +21,9 @@ SIDES = (1.0, -1.0)  # of the box's frame: arm 1 pushes along +x, arm 2 along -x
 class DualArmModel:
     """Physics of the dual-arm domain.
 
-    Arms take joint torques, held over a tick and clipped to their limits. With flexible joints they are the commands
-    of the low-level torque loop. Corners of the pads touch the box's two side faces; its other faces and the arms'
-    links touch nothing. The table carries the box's lower corners.
+    Joint torques are held over a tick and clipped to their limits. With flexible joints they are the commands of the
+    low-level torque loop. The corners of the pads touch the box's two side faces; its other faces and the arms' links
+    touch nothing. The table supports the box's lower corners.
 
     Args:
         scenario: who is where.
@@ -37,7 +37,7 @@ class DualArmModel:
         self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
 
     def reset(self, physics: Physics) -> None:
-        """Put the pads at their starts and the box on its table, at rest, springs bent by the arms' weight.
+        """Put pads and box at their starts, at rest, with the joint springs bent by the arms' weight.
 
         Args:
             physics: the drawn numbers of one episode.
@@ -47,7 +47,7 @@ class DualArmModel:
         self._ticks = 0
         self._contacts = np.zeros((CONTACTS, 5))
         self._sums = np.zeros((4, 2))
-        self._record = make_record()
+        self._record = make_grasp_record()
         self._touched = np.zeros(2, dtype=bool)
         self._s = np.zeros(STATE)
         q = self.scenario.joint_angles(physics.starts)
@@ -60,7 +60,7 @@ class DualArmModel:
         return self._ticks * self.scenario.tick
 
     def set_joints(self, q: np.ndarray, v: np.ndarray) -> None:
-        """Move the arms, with springs bent by the arms' weight.
+        """Set the joints, with their springs bent by the arms' weight.
 
         Args:
             q: joint angles, shape (2, 3) [rad].
@@ -83,7 +83,7 @@ class DualArmModel:
         Returns:
             Rows of both pads and the box, shape (3, 22): x, y, vx, vy, heading, omega; then (zeros for the box) three
             joint angles, three joint rates, the normal forces at the pad's corners; then the grasp's record in the
-            order of `schema.RECORD` [m, m/s, rad, rad/s, N, N m, s].
+            order of `schema.GRASP_SIGNALS` [m, m/s, rad, rad/s, N, N m, s].
         """
         rows = np.zeros((3, WIDTH))
         pose, J, drift = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
@@ -98,7 +98,7 @@ class DualArmModel:
         return rows
 
     def contacts(self) -> np.ndarray:
-        """Return the contacts at the present state.
+        """Return the contacts at the current state.
 
         Returns:
             Rows gap [m], gap rate, slip rate [m/s], normal and tangential force on the box [N] of the corners of pad
@@ -117,7 +117,7 @@ class DualArmModel:
             torques: of each arm's joints, clipped to their limits, shape (2, 3) [N m].
         """
         tau = np.clip(torques, -self.plant.limits, self.plant.limits)
-        advance(self.plant, tau, self._s, self._substeps, self._h, self._work, self._contacts, self._sums)
+        advance_state(self.plant, tau, self._s, self._substeps, self._h, self._work, self._contacts, self._sums)
         add_tick(self._record, self._contacts, self._sums, tau, self.plant.limits, self.scenario.tick)
         self._ticks += 1
 
@@ -128,7 +128,7 @@ class DualArmModel:
             controls: arm to its joint torques, held, shape (3,), or one row per tick, shape (ticks, 3) [N m].
 
         Returns:
-            The first touch of each pad, with the impulse of the rest of its tick; in order of time.
+            The first touch of each pad, with the impulse up to the end of its tick, in order of time.
 
         Raises:
             InputError: an arm without control, an unknown arm, or a control that is not finite torques.
@@ -136,13 +136,16 @@ class DualArmModel:
         arms = self.scenario.arms
         if controls.keys() != arms.keys():
             wrong = ", ".join(sorted(controls.keys() ^ arms.keys()))
-            raise InputError(f"controls must name every arm once, not so: {wrong}; {choices(wrong, arms)}")
+            raise InputError(f"controls must name every arm once; wrong or missing: {wrong}; {choices(wrong, arms)}")
         ticks = self.scenario.ticks
         torques = np.zeros((ticks, 2, 3))
         for i, (name, control) in enumerate((name, controls[name]) for name in arms):
             values = np.asarray(control, dtype=float)
             if values.shape not in ((3,), (ticks, 3)) or not np.isfinite(values).all():
-                raise InputError(f"control of {name}: 3 finite joint torques are needed, or {ticks} rows of them")
+                text = np.array2string(values, threshold=8).replace("\n", "")
+                raise InputError(
+                    f"control of {name} = {text}: 3 finite joint torques are needed, or {ticks} rows of them"
+                )
             torques[:, i] = values
         impacts: list[Impact] = []
         begin_period(self._record)
@@ -153,7 +156,7 @@ class DualArmModel:
         return impacts
 
     def _report(self, before: np.ndarray) -> list[Impact]:
-        """Return the pads' first touches in the tick that ended, as impacts on the box."""
+        """Return the pads' first touches in the last tick, as impacts on the box."""
         impacts = []
         normal = self._sums[:, 1] - before
         x, y, heading = self._s[BOX : BOX + 3]
@@ -176,7 +179,7 @@ class DualArmModel:
 def make_plant(scenario: DualArmScenario, physics: Physics) -> Plant:
     """Collect the numbers of a true world for the compiled plant.
 
-    The table lies under the box at rest, turned with it.
+    The table lies under the resting box and has its heading.
 
     Args:
         scenario: who is where.

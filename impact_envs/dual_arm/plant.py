@@ -1,7 +1,7 @@
-"""Motion of two arms, a box and its table under held joint torques: compiled, scalar, fixed steps.
+"""Motion of two arms and a box on a table under held joint torques, in fixed steps.
 
 State, shape (30,): per arm joint angles (3), joint rates (3), motor angles (3), motor rates (3); then the box's x, y,
-angle and their rates. Motor angles are those behind the joint springs; rigid joints leave them untouched.
+angle and their rates. Motor angles are behind the joint springs; unused with rigid joints.
 Contacts 0, 1 are the corners of arm 1's pad, 2, 3 those of arm 2's, 4, 5 the box's lower corners on the table.
 """
 
@@ -19,17 +19,17 @@ from impact_envs.physics.contact import compute_friction, compute_normal_force
 STATE, ARM, BOX = 30, 12, 24  # size of the state, of an arm's part, and where the box begins
 CONTACTS = 6
 GAP, GAP_RATE, SLIP_RATE, NORMAL, TANGENTIAL = range(5)  # columns of a contact
-# A pad corner deeper inside the box than this did not come through the face [m].
+# A pad corner deeper inside the box than this came in through another face [m].
 DEEPEST = 0.05
 
 
 class Plant(NamedTuple):
-    """Hold the numbers of one true world, all arrays of floats.
+    """The numbers of one true world, all arrays of floats.
 
     Attributes:
         arms: rows of `arm.make_arm`, shape (2, 14).
         limits: greatest joint torque, shape (2, 3) [N m].
-        joints: stiffness, damping, motor inertia and the inertia the torque loop shapes it to, shape (4, 3).
+        joints: stiffness, damping, motor inertia, apparent motor inertia under the torque loop, shape (4, 3).
         flexible: 1 with joint springs, 0 without, shape (1,).
         box: mass, inertia, half width, half height, gravity, shape (5,).
         pad: half height, stiffness, damping, exponent, friction, friction slope, shape (6,).
@@ -79,7 +79,7 @@ def compute_pad_contact(
 
 @njit(cache=True)
 def push_box(s: np.ndarray, force: np.ndarray, x: float, y: float, fx: float, fy: float) -> None:
-    """Add a force at a point to the box's resultant.
+    """Add a force at a point to the resultant force and torque on the box.
 
     Args:
         s: state, shape (30,).
@@ -96,7 +96,7 @@ def push_box(s: np.ndarray, force: np.ndarray, x: float, y: float, fx: float, fy
 def move_arm(
     plant: Plant, i: int, tau: np.ndarray, s: np.ndarray, ds: np.ndarray, contacts: np.ndarray, force: np.ndarray
 ) -> None:
-    """Write the derivative of one arm's state, and add what its pad does to the box.
+    """Write the derivative of one arm's state, and add the forces of its pad on the box.
 
     Rigid joints feel the commanded torque. Flexible ones feel tau_a = K (theta - q) + D (theta' - q'), and their
     motors B theta'' + tau_a = tau_m under the loop tau_m = B Bt^-1 u + (1 - B Bt^-1) tau_a, so Bt theta'' + tau_a = u.
@@ -200,7 +200,7 @@ def compute_derivative(
         s: state, shape (30,).
         ds: its derivative, written, shape (30,).
         contacts: rows gap, gap rate, slip rate, normal, tangential, written, shape (6, 5).
-        force: scratch, then what acts on the box without gravity, shape (3,) [N, N m].
+        force: written: force and torque on the box without gravity, shape (3,) [N, N m].
 
     Source: van Steen et al., Eqs. 3 and 4.
     """
@@ -216,7 +216,7 @@ def compute_derivative(
 
 
 @njit(cache=True)
-def advance(
+def advance_state(
     plant: Plant,
     tau: np.ndarray,
     s: np.ndarray,
@@ -232,7 +232,7 @@ def advance(
         plant: numbers of the world.
         tau: commanded torques, shape (2, 3) [N m].
         s: state, then the new state, shape (30,).
-        steps: how many.
+        steps: number of steps.
         h: length of a step [s].
         work: scratch, shape (6, 30).
         contacts: at the new state, written, shape (6, 5).

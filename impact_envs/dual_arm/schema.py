@@ -17,12 +17,12 @@ from impact_envs.scenario import Box, Finite, NonNegative, Positive, Quantity, S
 from impact_envs.stl import SIGNALS
 
 Three = tuple[Positive, Positive, Positive]
-# What a formula may say of an arm beside its pad's motion, and of the box, which has the worst of both arms: least and
-# greatest normal force at the pads' corners [N], greatest joint torque and greatest change of one from tick to tick
-# [N m], each in the last control period; greatest net slip of a corner since the grasp [m], how much later than the
-# other the pad touched [s], how long the grasp took since the first touch [s], how long a torque has been at its limit
-# since then [s].
-RECORD = ("force_min", "force_max", "torque", "torque_step", "slip", "lag", "interim", "limit_time")
+# Signals of an arm, beside its pad's motion, and of the box, which has the worst of both arms. In the last control
+# period: least and greatest normal force at the pads' corners [N], greatest joint torque, greatest change of a joint
+# torque from tick to tick [N m]. Since reset: greatest net slip of a corner since the grasp [m], delay of the pad's
+# first touch after the other's [s], time from the first touch to the grasp [s], time of a torque at its limit since the
+# first touch [s].
+GRASP_SIGNALS = ("force_min", "force_max", "torque", "torque_step", "slip", "lag", "interim", "limit_time")
 
 
 class Pose(Table):
@@ -38,7 +38,7 @@ class Pose(Table):
 
 
 class Arm(Table):
-    """Where one arm stands and begins; the first arm pushes the box's face at -x, the second the one at +x."""
+    """Base and start of one arm; the first arm pushes the box's face at -x, the second the face at +x."""
 
     base: Vector  # of the first joint [m]
     elbow: Literal[-1, 1]  # sign of the second joint's angle
@@ -63,7 +63,7 @@ class Joints(Table):
     stiffness: Three  # [N m/rad]
     damping: tuple[NonNegative, NonNegative, NonNegative]  # [N m s/rad]
     motor_inertia: Three  # [kg m^2]
-    shaped_inertia: Three  # what the torque loop makes of it [kg m^2]
+    shaped_inertia: Three  # apparent motor inertia under the torque loop [kg m^2]
 
 
 class Surface(Table):
@@ -77,7 +77,7 @@ class Surface(Table):
 
 
 class GraspBox(Table):
-    """The box as it is believed to be; it rests on the table, which is aligned with the true one."""
+    """The box as believed; the true box rests on the table, which is aligned with it."""
 
     start: Pose
     half_width: Positive  # [m]
@@ -91,9 +91,9 @@ class GraspBox(Table):
 
 
 class Believed(Table):
-    """What the controller computes with where it must be careful."""
+    """Conservative values that the controller computes with."""
 
-    friction: Positive  # of the pads; below the true one
+    friction: Positive  # of the pads; not above the true friction
 
 
 class Truth(Table):
@@ -113,18 +113,18 @@ class Truth(Table):
     @model_validator(mode="after")
     def _limits(self) -> Self:
         for name in ("mass_scale", "stiffness_scale", "joint_stiffness_scale"):
-            if smallest(getattr(self, name)) <= 0:
+            if find_smallest(getattr(self, name)) <= 0:
                 raise ValueError(f"{name} must be above 0")
         return self
 
 
 def compute_corners(*quantities: Quantity) -> np.ndarray:
-    """Return the corners of the box of values that quantities can take, shape (corners, quantities)."""
+    """Return all combinations of the extreme values of quantities, shape (combinations, quantities)."""
     ends = [set(q.uniform) if isinstance(q, Uniform) else {q} for q in quantities]
     return np.array(list(itertools.product(*ends)))
 
 
-def smallest(quantity: Quantity) -> float:
+def find_smallest(quantity: Quantity) -> float:
     """Return the smallest value a quantity can take."""
     return quantity.uniform[0] if isinstance(quantity, Uniform) else quantity
 
@@ -166,7 +166,7 @@ class DualArmScenario(Scenario):
     links: Links
     joints: Joints
     box: GraspBox
-    target: Pose  # where the box shall be brought
+    target: Pose  # of the box at the end
     pads: Surface
     table: Surface
     believed: Believed
@@ -179,13 +179,13 @@ class DualArmScenario(Scenario):
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Return the arms, which stand for their pads, then the box: the canonical order of all arrays."""
+        """Return the arms (their pads), then the box: the canonical order of all arrays."""
         return (*self.arms, "box")
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Return what a formula may say of a body: its motion, and the record of the grasp."""
-        return (*SIGNALS, *RECORD)
+        """Return the signals of a body: its motion, and the record of the grasp."""
+        return (*SIGNALS, *GRASP_SIGNALS)
 
     @property
     def ticks(self) -> int:
@@ -208,7 +208,7 @@ class DualArmScenario(Scenario):
         )
 
     def joint_angles(self, poses: np.ndarray) -> np.ndarray:
-        """Return the joint angles that put the pads at poses.
+        """Return the joint angles at which the pads have given poses.
 
         Args:
             poses: of each arm's pad, shape (2, 3) [m, rad].
@@ -229,7 +229,7 @@ class DualArmScenario(Scenario):
         return np.array(angles)
 
     def contact_poses(self, box: np.ndarray) -> np.ndarray:
-        """Return the poses of pads that touch the middle of their faces of a box.
+        """Return the poses of pads that touch the middles of their faces of a box.
 
         Args:
             box: x, y, heading, shape (3,) [m, rad].
@@ -241,17 +241,15 @@ class DualArmScenario(Scenario):
         return np.array([[*(box[:2] - axis), box[2]], [*(box[:2] + axis), box[2] + math.pi]])
 
     def as_believed(self) -> Self:
-        """Return the scenario as the expert sees it: the true world is the believed one."""
+        """Return the scenario as the expert sees it: the true physics are the believed ones."""
         return self.model_copy(update={"true": Truth()})
 
     def draw(self, rng: np.random.Generator) -> Physics:
         """Draw one true world.
 
         Args:
-            rng: the episode's generator; the order of draws is fixed, so worlds of one seed share what they can.
+            rng: the episode's generator; the order of draws is fixed, so that suites share draws of one seed.
 
-        Returns:
-            The numbers of one episode.
         """
         true = self.true
         offset = np.array([draw(true.box_x, rng), draw(true.box_y, rng), draw(true.box_heading, rng)])
@@ -274,14 +272,14 @@ class DualArmScenario(Scenario):
     @model_validator(mode="after")
     def _possible(self) -> Self:
         if len(self.arms) != 2:
-            raise ValueError(f"arms: two are needed, {len(self.arms)} given")
+            raise ValueError(f"arms: {len(self.arms)} given, 2 are needed")
         for name, short, long in (
             ("tick", self.tick, self.control_period),
             ("physics_step", self.physics_step, self.tick),
         ):
             if not math.isclose(round(long / short) * short, long, rel_tol=1e-9):
                 raise ValueError(f"{name} = {short:g} does not divide {long:g} into whole parts")
-        true = self.pads.friction if self.true.friction is None else smallest(self.true.friction)
+        true = self.pads.friction if self.true.friction is None else find_smallest(self.true.friction)
         if not self.believed.friction <= true:
             raise ValueError(
                 f"believed.friction = {self.believed.friction:g} is above the pads' true friction {true:g}: "
@@ -291,7 +289,7 @@ class DualArmScenario(Scenario):
         return self
 
     def _check_places(self) -> None:
-        """Raise unless all places are in reach, also where they are farthest off, with the pads outside the box."""
+        """Raise unless all poses are in reach and the pads outside the box, also for the extreme draws."""
         true = self.true
         starts = np.array([arm.start.array for arm in self.arms.values()])
         shifted = starts + compute_corners(true.start_x, true.start_y, true.start_heading)[:, None]

@@ -1,4 +1,4 @@
-"""Predict the velocity of the box after an impact: simulate impacts on a grid of contact heights, keep them on disk."""
+"""Predict the velocity of the box after an impact: simulate impacts at a grid of contact heights, keep them on disk."""
 
 from __future__ import annotations
 
@@ -14,43 +14,38 @@ import numpy as np
 from impact_envs.dual_arm.arm import compute_kinematics
 from impact_envs.dual_arm.model import DualArmModel
 from impact_envs.dual_arm.schema import DualArmScenario
+from planners.dual_arm.options import ControllerOptions, Options, PredictionOptions
 from planners.dual_arm.reference import ImpactMap, compute_ante_velocity, make_impact_map
-from planners.dual_arm.reference_spreading import ReferenceSpreading, Settings, make_ante_field
+from planners.dual_arm.reference_spreading import ReferenceSpreading, make_ante_field
 
-HEIGHTS = np.linspace(-0.05, 0.05, 5)  # of each pad's centre in the box frame [m]
-RHO = 15.0  # [1/m]
-DURATION = 0.05  # of a simulated impact, within which contact becomes full [s]
 VERSION = 1  # raise when the simulation changes what it returns
 DIRECTORY = "IMPACT_ENVS_CACHE"  # environment variable
-# Tables of a scenario that they do not depend on.
+# Tables of a scenario that simulated impacts do not depend on.
 UNUSED = {"name", "description", "formula", "horizon", "control_period", "world", "regions", "suites", "target", "true"}
-# Settings that the simulated impacts depend on: all that the ante-impact phase uses, but the soft start.
+# Controller options that they depend on: all of the ante-impact phase except the soft start.
 FIELD = ("impact_velocity", "alpha", "r_min", "r_max", "kappa_theta")
 GAINS = ("k_p", "k_theta", "sync_p", "sync_d", "w_p", "w_theta", "w_sync")
 
 
-def load_impact_map(scenario: DualArmScenario, settings: Settings) -> ImpactMap:
-    """Return the prediction for a scenario as it is believed, from disk or simulated now.
+def load_impact_map(scenario: DualArmScenario, options: Options) -> ImpactMap:
+    """Return the prediction for a scenario as it is believed, read from disk or simulated now.
 
     Args:
         scenario: its true physics are not looked at.
-        settings: of the controller.
-
-    Returns:
-        The prediction.
+        options: of controller and prediction.
     """
-    believed = scenario.as_believed()
-    path = find_cache() / f"impact_map_{hash_inputs(believed, settings)}.npz"
+    believed, count = scenario.as_believed(), options.prediction.heights**2
+    path = find_cache() / f"impact_map_{hash_inputs(believed, options)}.npz"
     try:
         with np.load(path, allow_pickle=False) as data:
             heights, twists = data["heights"], data["twists"]
-        if heights.shape == (len(HEIGHTS) ** 2, 2) and twists.shape == (len(HEIGHTS) ** 2, 3):
-            return make_impact_map(heights, twists, RHO)
+        if heights.shape == (count, 2) and twists.shape == (count, 3):
+            return make_impact_map(heights, twists, options.prediction.rho)
     except (OSError, ValueError, KeyError, EOFError):
         pass
-    heights, twists = simulate_impacts(believed, settings)
-    _store(path, heights, twists)
-    return make_impact_map(heights, twists, RHO)
+    heights, twists = simulate_impacts(believed, options)
+    _store_impacts(path, heights, twists)
+    return make_impact_map(heights, twists, options.prediction.rho)
 
 
 def find_cache() -> Path:
@@ -60,69 +55,69 @@ def find_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "impact_envs"
 
 
-def hash_inputs(scenario: DualArmScenario, settings: Settings) -> str:
-    """Return a name for everything the simulated impacts depend on.
+def hash_inputs(scenario: DualArmScenario, options: Options) -> str:
+    """Return a hexadecimal name for everything that the simulated impacts depend on.
 
     Args:
         scenario: as believed.
-        settings: of the controller.
-
-    Returns:
-        Hexadecimal digits.
+        options: of controller and prediction.
     """
     data = scenario.model_dump(mode="json", exclude=UNUSED)
-    chosen = {name: getattr(settings, name) for name in (*FIELD, *GAINS)}
-    inputs = [VERSION, HEIGHTS.tolist(), DURATION, data, chosen]
+    chosen = {name: getattr(options.controller, name) for name in (*FIELD, *GAINS)}
+    inputs = [VERSION, _list_heights(options.prediction).tolist(), options.prediction.duration, data, chosen]
     return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:24]
 
 
-def simulate_impacts(scenario: DualArmScenario, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
+def simulate_impacts(scenario: DualArmScenario, options: Options) -> tuple[np.ndarray, np.ndarray]:
     """Simulate simultaneous impacts of rigid arms at a grid of heights.
 
-    Each begins with both pads on their faces, moving at the reference velocity, and lasts 50 ms under ante-impact
-    control.
+    Each begins with both pads on their faces at the reference velocity, and continues under ante-impact control.
 
     Args:
         scenario: as believed.
-        settings: of the controller.
+        options: of controller and prediction; its switches are ignored.
 
     Returns:
-        Heights, shape (25, 2) [m]; velocities of the box, shape (25, 3) [m/s, rad/s].
+        Heights, shape (heights^2, 2) [m]; velocities of the box, shape (heights^2, 3) [m/s, rad/s].
 
     Source: van Steen et al., App. A.
     """
     rigid = scenario.model_copy(update={"joints": scenario.joints.model_copy(update={"flexible": False})})
     model = DualArmModel(rigid)
     physics = rigid.draw(np.random.default_rng(0))
-    controller = ReferenceSpreading(
-        rigid, None, replace(settings, soft_start=0.0, time_out=np.inf), method="no_impact_map"
+    ante_only = replace(
+        options.controller, soft_start=0.0, time_out=np.inf, impact_map=False, interim_phase=True, synchronisation=True
     )
-    heights = np.array([(first, second) for first in HEIGHTS for second in HEIGHTS])
+    controller = ReferenceSpreading(rigid, None, ante_only)
+    single = _list_heights(options.prediction)
+    heights = np.array([(first, second) for first in single for second in single])
     twists = []
     for pair in heights:
         model.reset(physics)
         controller.reset()
-        model.set_joints(*place_arms(rigid, settings, pair))
-        for _ in range(round(DURATION / rigid.tick)):
+        model.set_joints(*place_arms(rigid, options.controller, pair))
+        for _ in range(round(options.prediction.duration / rigid.tick)):
             q, v = model.joints()
             model.tick(controller.control(q, v, np.zeros(4)))
         twists.append(model.state()[2, [2, 3, 5]])
     return heights, np.array(twists)
 
 
-def place_arms(scenario: DualArmScenario, settings: Settings, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return joint angles and rates of arms whose pads touch the box at heights, at the reference velocity.
+def place_arms(
+    scenario: DualArmScenario, controller: ControllerOptions, heights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return joint angles and rates of arms whose pads touch the box at given heights, at the reference velocity.
 
     Args:
         scenario: as believed.
-        settings: of the controller.
+        controller: options of the reference.
         heights: of both pads in the box frame, shape (2,) [m].
 
     Returns:
         Angles and rates, shapes (2, 3) [rad], [rad/s].
     """
     box = scenario.box.start.array
-    field = make_ante_field(scenario, settings)
+    field = make_ante_field(scenario, controller)
     poses = scenario.contact_poses(box)
     poses[:, :2] += heights[:, None] * np.array([-np.sin(box[2]), np.cos(box[2])])
     q, v = scenario.joint_angles(poses), np.zeros((2, 3))
@@ -133,8 +128,13 @@ def place_arms(scenario: DualArmScenario, settings: Settings, heights: np.ndarra
     return q, v
 
 
-def _store(path: Path, heights: np.ndarray, twists: np.ndarray) -> None:
-    """Write a prediction at once or not at all; a directory that cannot be written is no reason to stop."""
+def _list_heights(prediction: PredictionOptions) -> np.ndarray:
+    """Return the simulated heights of each pad's centre in the box frame, shape (heights,) [m]."""
+    return np.linspace(-prediction.greatest_height, prediction.greatest_height, prediction.heights)
+
+
+def _store_impacts(path: Path, heights: np.ndarray, twists: np.ndarray) -> None:
+    """Write simulated impacts all or nothing; do nothing where the directory cannot be written."""
     partial = path.with_name(f"{path.stem}.{os.getpid()}.npz")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

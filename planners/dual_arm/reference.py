@@ -1,6 +1,6 @@
-"""Velocity fields of the pads before the impact and of the box after it, compiled; C1 in position.
+"""Velocity fields of the pads before the impact and of the box after it; continuously differentiable in position.
 
-Every field comes with its acceleration: the derivative of the field along itself, not along the measured velocity.
+The acceleration of a field is its derivative along itself, not along the measured velocity.
 """
 
 from __future__ import annotations
@@ -15,37 +15,44 @@ NEAR = 1e-9  # below this a distance [m] or a velocity [m/s] has no direction
 
 
 class AnteField(NamedTuple):
-    """Hold the ante-impact reference.
+    """The velocity field of the pads before the impact.
 
     Attributes:
         points: desired impact positions of the pads, shape (2, 2) [m].
         velocities: desired velocities there, shape (2, 2) [m/s].
         headings: of the pads, shape (2,) [rad].
         box: estimated x, y, heading of the box, shape (3,) [m, rad].
-        shape: alpha [1/s], r_min, r_max [m], kappa_theta [1/s], shape (4,).
+        alpha, r_min, r_max, kappa_theta: see `options.ControllerOptions` [1/s], [m], [m], [1/s].
     """
 
     points: np.ndarray
     velocities: np.ndarray
     headings: np.ndarray
     box: np.ndarray
-    shape: np.ndarray
+    alpha: float
+    r_min: float
+    r_max: float
+    kappa_theta: float
 
 
 class PostField(NamedTuple):
-    """Hold the post-impact reference of the box.
+    """The velocity field of the box after the impact.
 
     Attributes:
         start: estimated pose just after the impact, shape (3,) [m, rad].
         twist: predicted velocity just after the impact, shape (3,) [m/s, rad/s].
         target: final pose, shape (3,) [m, rad].
-        shape: kappa_p, kappa_theta [1/s], r_max [m], and 1 to blend the prediction in or 0 not to, shape (4,).
+        kappa, kappa_theta, r_max: see `options.ControllerOptions` [1/s], [1/s], [m].
+        blend: start at the predicted velocity and leave it over r_max.
     """
 
     start: np.ndarray
     twist: np.ndarray
     target: np.ndarray
-    shape: np.ndarray
+    kappa: float
+    kappa_theta: float
+    r_max: float
+    blend: bool
 
 
 @njit(cache=True)
@@ -102,11 +109,11 @@ def _differentiate_ante(
     ux, uy = field.velocities[i, 0], field.velocities[i, 1]
     cx, cy = x - field.box[0], y - field.box[1]
     r = math.hypot(cx, cy)
-    beta, slope = compute_smoothstep(r, field.shape[1], field.shape[2])
+    beta, slope = compute_smoothstep(r, field.r_min, field.r_max)
     speed = math.hypot(ux, uy)
     if beta == 0.0 or speed < NEAR:
         return ux, uy, 0.0, 0.0
-    alpha = field.shape[0]
+    alpha = field.alpha
     ex, ey = field.points[i, 0] - x, field.points[i, 1] - y
     away = max(math.hypot(ex, ey), NEAR)
     wx = ux + alpha * (ex - ux / speed * away)
@@ -137,8 +144,8 @@ def compute_ante_rate(field: AnteField, i: int, heading: float) -> tuple[float, 
     """
     turn = field.headings[i] - heading
     turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
-    rate = field.shape[3] * turn
-    return rate, -field.shape[3] * rate
+    rate = field.kappa_theta * turn
+    return rate, -field.kappa_theta * rate
 
 
 @njit(cache=True)
@@ -147,8 +154,8 @@ def compute_post_reference(
 ) -> tuple[float, float, float, float, float, float]:
     """Return velocity and acceleration references of the box at a pose.
 
-    v = beta kappa (p_f - p) + (1 - beta) v+, beta = S_1(|p - p+|; 0, r_max), the angle likewise with the same beta;
-    without blending beta = 1.
+    v = beta kappa (p_f - p) + (1 - beta) v+, beta = S_1(|p - p+|; 0, r_max), and the angle likewise with the same beta;
+    beta = 1 without blending.
 
     Args:
         field: the reference.
@@ -159,13 +166,13 @@ def compute_post_reference(
 
     Source: van Steen et al., Eqs. 17 to 21, with |p - p+| where Eq. 19 prints a velocity.
     """
-    kappa, turn, blend = field.shape[0], field.shape[1], field.shape[3] > 0.0
+    kappa, turn = field.kappa, field.kappa_theta
     gx, gy, gw = kappa * (field.target[0] - x), kappa * (field.target[1] - y), turn * (field.target[2] - heading)
-    if not blend:
+    if not field.blend:
         return gx, gy, gw, -kappa * gx, -kappa * gy, -turn * gw
     cx, cy = x - field.start[0], y - field.start[1]
     r = math.hypot(cx, cy)
-    beta, slope = compute_smoothstep(r, 0.0, field.shape[2])
+    beta, slope = compute_smoothstep(r, 0.0, field.r_max)
     hx, hy, hw = field.twist[0], field.twist[1], field.twist[2]
     vx, vy, w = beta * gx + (1.0 - beta) * hx, beta * gy + (1.0 - beta) * hy, beta * gw + (1.0 - beta) * hw
     beta_d = slope * (cx * vx + cy * vy) / r if r > NEAR else 0.0
@@ -180,7 +187,7 @@ def compute_post_reference(
 
 
 class ImpactMap(NamedTuple):
-    """Hold the predicted velocity of the box after an impact, by radial basis functions of the heights of contact.
+    """The predicted velocity of the box after an impact, by radial basis functions of the heights of contact.
 
     Attributes:
         heights: of the simulated impacts, y of both pads in the box frame, shape (n, 2) [m].
@@ -204,7 +211,7 @@ def make_impact_map(heights: np.ndarray, twists: np.ndarray, rho: float) -> Impa
     Returns:
         The interpolation.
 
-    Source: van Steen et al., App. A, Eq. A.1 with the shape of W mended.
+    Source: van Steen et al., App. A, Eq. A.1 with the dimensions of W corrected.
     """
     distances = np.linalg.norm(heights[:, None] - heights[None], axis=2)
     weights = np.linalg.solve(np.exp(-((rho * distances) ** 2)), twists).T
@@ -214,7 +221,7 @@ def make_impact_map(heights: np.ndarray, twists: np.ndarray, rho: float) -> Impa
 def predict_twist(impact_map: ImpactMap, heights: np.ndarray) -> np.ndarray:
     """Return the predicted velocity of the box after an impact.
 
-    Outside the simulated heights the basis functions fall to zero, so heights are clipped to them.
+    Heights are clipped to the simulated ones: outside, the basis functions fall to zero.
 
     Args:
         impact_map: the interpolation.

@@ -1,4 +1,4 @@
-"""What the quadratic programs are made of: dynamics and kinematics of both arms, and states inferred from them."""
+"""Dynamics and kinematics of both arms, for the quadratic programs, and the box's state estimated from them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ SINGULAR = 1e-9  # determinant of a Jacobian [m^2]
 
 
 class Terms(NamedTuple):
-    """Hold both arms' dynamics and kinematics at one state.
+    """Dynamics and kinematics of both arms at one state.
 
     Attributes:
-        M: shape (2, 3, 3). h: shape (2, 3). pose: shape (2, 3). J: shape (2, 3, 3).
-        drift: J' q', shape (2, 3). twist: J q', shape (2, 3).
-        nominal: joint rates of arms that follow the reference, shape (2, 3).
+        M, h: of M q'' + h = tau, shapes (2, 3, 3) [kg m^2], (2, 3) [N m].
+        pose: x, y, angle of the pads, shape (2, 3) [m, rad].
+        J: their Jacobians, shape (2, 3, 3).
+        drift, twist: J' q' and J q', shape (2, 3) [m/s^2, rad/s^2], [m/s, rad/s].
+        nominal: joint rates of arms that follow the reference, shape (2, 3) [rad/s].
     """
 
     M: np.ndarray
@@ -63,9 +65,9 @@ def compute_nominal_rates(
     Args:
         arms: rows of `arm.make_arm`, shape (2, 14).
         q, v: joint angles and rates as measured, shape (2, 3).
-        terms: `nominal` is written, as measured where the Jacobian is singular [rad/s]; the rest is scratch.
+        terms: `nominal` is written, with the measured rates where the Jacobian is singular; the rest is scratch.
         field: the reference.
-        integrated: poses the reference would have led to since the impact, shape (2, 3) [m, rad].
+        integrated: poses along the reference since the impact, shape (2, 3) [m, rad].
 
     Source: van Steen et al., Eq. 34.
     """
@@ -75,7 +77,7 @@ def compute_nominal_rates(
         vx, vy = compute_ante_velocity(field, i, terms.pose[i, 0], terms.pose[i, 1])
         w, _ = compute_ante_rate(field, i, integrated[i, 2])
         J = terms.J[i]
-        # the last row of J is ones: subtract what the third joint alone would do
+        # The last row of J is ones: eliminate the third joint.
         a, b, c, d = J[0, 0] - J[0, 2], J[0, 1] - J[0, 2], J[1, 0] - J[1, 2], J[1, 1] - J[1, 2]
         ex, ey = vx - J[0, 2] * w, vy - J[1, 2] * w
         det = a * d - b * c

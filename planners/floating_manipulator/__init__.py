@@ -1,4 +1,5 @@
-"""The floating manipulator: output- and state-dependent Riccati control, safety pause, recovery by thrusters."""
+"""Expert of the floating manipulator: output- and state-dependent Riccati control, safety pause, thruster recovery."""
 
-EXPERT = "planners.floating_manipulator.expert:make_floating_manipulator_expert"
-VARIANTS = ("published", "printed", "measured_base")
+EXPERT = "planners.floating_manipulator.expert:FloatingManipulatorExpert"
+OPTIONS = "planners.floating_manipulator.options:get_options"
+VARIANTS = "planners.floating_manipulator.options:VARIANTS"

@@ -1,7 +1,7 @@
-"""What the OSDRE leaves out: acceleration without torque, joint motion that the tip does not feel, and the box.
+"""Terms added to the OSDRE torques: cancel the drift, damp joint motion that does not move the tip, avoid the box.
 
-The OSDRE feeds back the error alone. The drift pushes the tip off its goal as long as the joints move, and with more
-than two joints they go on moving, undamped, while the tip rests. A box that was only grazed still lies in the way.
+The OSDRE feeds back the error alone. The drift pushes the tip off its goal as long as the joints move; with more than
+two joints they continue to move, undamped, while the tip rests. A box that was only grazed still blocks the way.
 """
 
 from __future__ import annotations
@@ -10,26 +10,27 @@ import numpy as np
 from numba import njit
 
 from impact_envs.floating_manipulator.contact import Contact
-
-# Below this singular value of B its generalised inverse is damped: near 0 torques would grow without bound.
-DAMPED_AUTHORITY = 1e-2  # [1/kg/m]
-CLEARANCE, APPROACH_RATE = 0.02, 2.0  # kept between tip and box [m]; how fast the tip may come nearer to it [1/s]
+from planners.floating_manipulator.options import CompensationOptions
 
 
 @njit(cache=True)
-def compensate(drift: np.ndarray, B: np.ndarray, rates: np.ndarray, damping: float, u: np.ndarray) -> None:
-    """Cancel the drift and damp the joint motion that does not move the tip.
+def compensate_drift(
+    options: CompensationOptions, drift: np.ndarray, B: np.ndarray, rates: np.ndarray, u: np.ndarray
+) -> None:
+    """Cancel the drift, and damp the joint motion that does not move the tip.
 
-    u <- u - B^+ drift - d (1 - B^+ B) dq/dt  with  B^+ = B' (B B' + s^2 1)^-1,  s = `DAMPED_AUTHORITY`.
+    u <- u - B^+ drift - d (1 - B^+ B) dq/dt  with  B^+ = B' (B B' + s^2 1)^-1,  s = `damped_authority`,
+    d = `joint_damping`.
 
     Args:
+        options: of the compensation.
         drift: acceleration of the tip without torque, shape (2,) [m/s^2].
         B: its acceleration per torque, shape (2, n) [1/kg/m].
         rates: of the joints, shape (n,) [rad/s].
-        damping: d [N m s/rad].
-        u: torques, shape (n,) [N m]; the result is written here.
+        u: torques, updated, shape (n,) [N m].
     """
-    xx = yy = DAMPED_AUTHORITY * DAMPED_AUTHORITY
+    damping = options.joint_damping
+    xx = yy = options.damped_authority * options.damped_authority
     xy, ax, ay = 0.0, drift[0], drift[1]
     for j in range(len(u)):
         xx += B[0, j] * B[0, j]
@@ -44,19 +45,21 @@ def compensate(drift: np.ndarray, B: np.ndarray, rates: np.ndarray, damping: flo
 
 
 @njit(cache=True)
-def keep_off(contact: Contact, B: np.ndarray, u: np.ndarray) -> None:
+def avoid_box(options: CompensationOptions, contact: Contact, B: np.ndarray, u: np.ndarray) -> None:
     """Keep the tip off the box by the smallest change of torques.
 
-    Torques satisfy  d^2 gap/dt^2 + 2 a d gap/dt + a^2 (gap - c) >= 0  with c = `CLEARANCE`, a = `APPROACH_RATE`: once
-    the tip comes near no faster than that, the gap never falls below c (a control barrier of second order).
+    Torques satisfy  d^2 gap/dt^2 + 2 a d gap/dt + a^2 (gap - c) >= 0  with c = `clearance`, a = `approach_rate`: if the
+    tip approaches no faster than that, the gap never falls below c (a second-order control barrier function).
 
     Args:
+        options: of the compensation.
         contact: of tip and box; its bias is the gap's acceleration without torque.
         B: the tip's acceleration per torque, shape (2, n) [1/kg/m].
-        u: torques, shape (n,) [N m]; the result is written here.
+        u: torques, updated, shape (n,) [N m].
     """
-    opening = contact.bias + 2.0 * APPROACH_RATE * contact.rate + APPROACH_RATE**2 * (contact.gap - CLEARANCE)
-    square = DAMPED_AUTHORITY * DAMPED_AUTHORITY
+    rate = options.approach_rate
+    opening = contact.bias + 2.0 * rate * contact.rate + rate**2 * (contact.gap - options.clearance)
+    square = options.damped_authority * options.damped_authority
     for j in range(len(u)):
         response = contact.nx * B[0, j] + contact.ny * B[1, j]
         opening += response * u[j]

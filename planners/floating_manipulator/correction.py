@@ -1,4 +1,4 @@
-"""What a learner sees of a floating manipulator under way to its goal, and what it may change."""
+"""What a learner observes of a floating manipulator on its way to the goal, and what it may change."""
 
 from __future__ import annotations
 
@@ -7,22 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impact_envs.errors import InputError
 from impact_envs.floating_manipulator.contact import compute_contact
 from impact_envs.floating_manipulator.observation import Measurement
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from impact_envs.physics.multibody import Chain, compute_directions, compute_point
+from planners.floating_manipulator.options import CorrectionOptions
 
-PERIOD = 3.0  # between two corrections [s]
-UNDER_WAY = 0.1  # nearer to its goal the tip is not corrected any more: there it is to be held [m]
-TORQUE_SHARE = 0.05  # of the stall torque, at correction 1
-WEIGHT_RANGE = 2.0  # of the logarithms of the weights, at correction 1
 PHASES = ("before", "pause", "after")
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Change of the OSDRE over one `PERIOD`.
+    """Change of the OSDRE over one period of corrections.
 
     Attributes:
         torques: added before the motors' limits, shape (n,) [N m].
@@ -35,37 +31,31 @@ class Correction:
     speed_weight: float
 
 
-def correction_size(scenario: FloatingManipulatorScenario) -> int:
+def get_correction_size(scenario: FloatingManipulatorScenario) -> int:
     """Return the length of a correction, for n joints n + 2."""
     return len(scenario.links) + 2
 
 
-def feature_size(scenario: FloatingManipulatorScenario) -> int:
+def get_feature_size(scenario: FloatingManipulatorScenario) -> int:
     """Return the length of the features, for n joints 2 n + 27."""
     return 2 * len(scenario.links) + 27
 
 
-def read_correction(scenario: FloatingManipulatorScenario, values: np.ndarray) -> Correction:
-    """Scale a correction to what it changes.
+def scale_correction(scenario: FloatingManipulatorScenario, c: np.ndarray, options: CorrectionOptions) -> Correction:
+    """Scale a correction to physical units.
 
     Args:
-        scenario: says how strong the motors are believed to be.
-        values: c in [-1, 1], shape (n + 2,): n torques, the logarithm of the factor on R, that of the one on Q.
-
-    Raises:
-        InputError: wrong shape, or numbers that are not finite.
+        scenario: as believed, with the stall torques of the motors.
+        c: in [-1, 1], shape (n + 2,): for n torques, the weight R, and the weights of the tip's velocity in Q.
+        options: ranges.
     """
-    c, size = np.asarray(values, dtype=float), correction_size(scenario)
-    if c.shape != (size,) or not np.isfinite(c).all():
-        raise InputError(f"correction must be {size} finite numbers, got {np.array2string(c, threshold=8)}")
-    c = np.clip(c, -1.0, 1.0)
     stall = np.array([link.stall_torque for link in scenario.links.values()])
-    effort, speed_weight = (math.exp(WEIGHT_RANGE * float(value)) for value in c[-2:])
-    return Correction(TORQUE_SHARE * stall * c[:-2], effort, speed_weight)
+    effort, speed_weight = (math.exp(options.log_range * float(value)) for value in c[-2:])
+    return Correction(options.torque_share * stall * c[:-2], effort, speed_weight)
 
 
 def compute_tip(chain: Chain, q: np.ndarray, v: np.ndarray) -> tuple[float, float, float, float, float, float]:
-    """Return x, y, vx, vy of the tip, and its acceleration that comes from rates alone [m], [m/s], [m/s^2].
+    """Return x, y, vx, vy of the tip, and the ax, ay that come from its rates alone [m], [m/s], [m/s^2].
 
     Args:
         chain: of the manipulator.
@@ -84,21 +74,21 @@ def compute_features(
     momenta: np.ndarray,
     impacts: int,
 ) -> np.ndarray:
-    """Compute what a learner may see.
+    """Compute what a learner may observe.
 
     Args:
         scenario: as believed.
         chain: of the manipulator, as believed.
         measurement: of this control step.
         phase: one of `PHASES`.
-        momenta: that the OSDRE reckons with: P_x, P_y and L about the world's origin, shape (3,) [N s], [N m s].
-        impacts: felt so far.
+        momenta: used by the OSDRE: P_x, P_y and L about the world's origin, shape (3,) [N s], [N m s].
+        impacts: number felt so far.
 
     Returns:
         Shape (2 n + 27,): time / horizon; one-hot phase (3); tip relative to its goal (2) [m] and its velocity (2)
         [m/s]; cos(psi), sin(psi); joint angles (n) [rad]; base rates (3) [m/s], [rad/s]; joint rates (n) [rad/s];
-        momenta (3); impacts; of tip and box gap [m], its rate [m/s], normal from box to tip (2), nearest point from
-        the box's centre (2) [m], speed along the box [m/s]; velocity of the box (3) [m/s], [rad/s].
+        momenta (3); impacts; gap between tip and box [m], its rate [m/s], normal from box to tip (2), nearest point
+        relative to the box's centre (2) [m], speed along the box [m/s]; velocity of the box (3) [m/s], [rad/s].
     """
     q, v, box = measurement.q, measurement.v, measurement.box
     tip = compute_tip(chain, q, v)

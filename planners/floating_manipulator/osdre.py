@@ -1,7 +1,7 @@
 """Output- and state-dependent Riccati control (OSDRE) of the tip of a floating manipulator.
 
-With z = (y, dy/dt), y the tip's position in the world, the output dynamics are dz/dt = A(z) z + B u. What is solved is
-the Riccati equation of (A, B); what is fed back is the error z - (y_goal, 0).
+With z = (y, dy/dt), y the tip's position in the world, the output dynamics are dz/dt = A(z) z + B u. The gain solves
+the Riccati equation of (A, B) and multiplies the error z - (y_goal, 0).
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from impact_envs.physics.multibody import (
     factorise,
     solve_factorised,
 )
-from planners.floating_manipulator.compensation import compensate, keep_off
+from planners.floating_manipulator.compensation import avoid_box, compensate_drift
+from planners.floating_manipulator.options import EXPERT, CompensationOptions, RegulatorOptions
 from planners.floating_manipulator.riccati import RiccatiScratch, make_riccati_scratch, solve_riccati
 
-Coefficients = Literal["absolute_output", "printed"]
 Source = Literal["riccati", "last_gain", "none"]
 COEFFICIENTS = ("absolute_output", "printed")
-STATE_WEIGHTS = (1.0, 1.0, 0.5, 0.5)  # Q: Nekoo, Sharf & Ollero, Sec. 4.1
-# Below this output (or speed) the state-dependent coefficients are 0: the generalised inverse of 0 is 0 [m], [m/s].
+# Below this output (or speed) the state-dependent coefficients are 0, as the generalised inverse of 0 is [m], [m/s].
 LEAST_OUTPUT = 1e-6
-# Below this singular value of B (a stretched arm in line with its mount) the tip cannot be driven in all directions.
-LEAST_AUTHORITY = 1e-3  # [1/kg/m]
+# Below this singular value of B (a stretched arm in line with its mount) torques cannot accelerate the tip in all
+# directions, and the Riccati equation has no useful solution [1/kg/m].
+LEAST_AUTHORITY = 1e-3
 
 
 class OutputScratch(NamedTuple):
-    """Hold the arrays that `compute_gain` works in, for n joints.
+    """Working arrays of `compute_gain`, for n joints.
 
-    Args:
+    Attributes:
         w, rates: directions and absolute rates, shapes (n + 1, 2) and (n + 1,).
-        M, J: mass matrix (then its factor) and tip Jacobian, shapes (n + 3, n + 3) and (2, n + 3).
+        M, J: mass matrix, later its factor, and tip Jacobian, shapes (n + 3, n + 3) and (2, n + 3).
         a: accelerations without torque, shape (n + 3,).
         z, drift: output, and tip acceleration without torque, shapes (4,) and (2,).
         B: tip acceleration per torque, shape (2, n).
@@ -109,12 +109,12 @@ def compute_output_dynamics(chain: Chain, q: np.ndarray, v: np.ndarray, s: Outpu
 
 @njit(cache=True)
 def fill_coefficients(printed: bool, s: OutputScratch) -> None:
-    """Fill A so that  A z = (dy/dt, drift).
+    """Write A such that  A z = (dy/dt, drift).
 
     The lower rows are drift z' / (z' z), or drift (dy/dt)' / |dy/dt|^2 in their right half if ``printed``.
 
     Args:
-        printed: which of the two.
+        printed: use the printed form.
         s: z and drift are read, A is written.
 
     Source: Nekoo, Sharf & Ollero, Eq. 30 is the printed form; the other one reproduces their numbers.
@@ -152,7 +152,7 @@ def compute_gain(chain: Chain, q: np.ndarray, v: np.ndarray, effort: float, prin
         q, v: coordinates and rates, shape (n + 3,).
         effort: r in R = r 1.
         printed: form of the state-dependent coefficients.
-        s: z, B and K are written; K keeps its last value without a solution.
+        s: z, B and K are written; K is unchanged if there is no solution.
 
     Returns:
         Whether there is a solution.
@@ -170,7 +170,7 @@ def compute_gain(chain: Chain, q: np.ndarray, v: np.ndarray, effort: float, prin
 
 
 @njit(cache=True)
-def feed_back(goal: np.ndarray, effort: float, s: OutputScratch, u: np.ndarray) -> None:
+def compute_feedback(goal: np.ndarray, effort: float, s: OutputScratch, u: np.ndarray) -> None:
     """Compute u = -R^-1 B' K (z - (goal, 0)).
 
     Args:
@@ -191,7 +191,7 @@ def feed_back(goal: np.ndarray, effort: float, s: OutputScratch, u: np.ndarray) 
 
 @njit(cache=True)
 def compute_base_rates(chain: Chain, q: np.ndarray, momenta: np.ndarray, v: np.ndarray, s: OutputScratch) -> None:
-    """Compute the rates of the base that momenta and joint rates leave it.
+    """Compute the rates of the base from momenta and joint rates.
 
     dq_b/dt = M_b^-1 ((P; L - p_b x P) - M_ba dq_a/dt).
 
@@ -199,7 +199,7 @@ def compute_base_rates(chain: Chain, q: np.ndarray, momenta: np.ndarray, v: np.n
         chain: mass distribution.
         q: coordinates, shape (n + 3,).
         momenta: P_x, P_y and L about the world's origin, shape (3,) [N s], [N m s].
-        v: joint rates in v[3:]; v[:3] is the result, shape (n + 3,).
+        v: v[3:] are the joint rates, v[:3] is written, shape (n + 3,).
         s: working arrays.
 
     Source: Nekoo, Sharf & Ollero, Eqs. 19 and 24.
@@ -216,7 +216,7 @@ def compute_base_rates(chain: Chain, q: np.ndarray, momenta: np.ndarray, v: np.n
 
 
 @njit(cache=True)
-def regulate(
+def compute_torques(
     chain: Chain,
     q: np.ndarray,
     v: np.ndarray,
@@ -228,17 +228,17 @@ def regulate(
     s: OutputScratch,
     u: np.ndarray,
 ) -> bool:
-    """Compute one step of OSDRE.
+    """Compute the torques of one OSDRE step.
 
     Args:
         chain: mass distribution.
         q, v: coordinates and rates, shape (n + 3,); v[:3] is overwritten unless ``measured``.
         momenta: P_x, P_y and L about the world's origin, shape (3,) [N s], [N m s].
-        measured: the base's rates are in v[:3]; otherwise they follow from the momenta.
+        measured: the base's rates are v[:3]; otherwise compute them from the momenta.
         goal: of the tip, shape (2,) [m].
         effort: r in R = r 1.
         printed: form of the state-dependent coefficients.
-        s: working arrays; its K is the gain of the last success.
+        s: working arrays; K is the last gain found.
         u: result, shape (n,) [N m].
 
     Returns:
@@ -247,19 +247,17 @@ def regulate(
     if not measured:
         compute_base_rates(chain, q, momenta, v, s)
     solved = compute_gain(chain, q, v, effort, printed, s)
-    feed_back(goal, effort, s, u)
+    compute_feedback(goal, effort, s, u)
     return solved
 
 
 class OutputRegulator:
-    """Drive the tip to a goal by OSDRE; where the equation has no solution, by the last gain.
+    """Drive the tip to a goal by OSDRE, with the last gain where the equation has no solution.
 
     Args:
         chain: base, links and load, as believed.
         goal: of the tip, shape (2,) [m].
-        sdc: "absolute_output" reproduces the paper's numbers; its A depends on where the world's origin lies.
-            "printed" is the paper's formula.
-        state_weights: diagonal of Q.
+        options: weights, and form of the state-dependent coefficients.
 
     Raises:
         InputError: unknown form of the state-dependent coefficients.
@@ -269,15 +267,15 @@ class OutputRegulator:
         self,
         chain: Chain,
         goal: tuple[float, float],
-        sdc: Coefficients = "absolute_output",
-        state_weights: tuple[float, float, float, float] = STATE_WEIGHTS,
+        options: RegulatorOptions = EXPERT.regulator,
     ) -> None:
-        if sdc not in COEFFICIENTS:
-            raise InputError(f"sdc '{sdc}' is unknown; {choices(sdc, COEFFICIENTS)}")
+        form = options.coefficients
+        if form not in COEFFICIENTS:
+            raise InputError(f"expert.regulator.coefficients '{form}' is unknown; {choices(form, COEFFICIENTS)}")
         self._scratch = make_output_scratch(len(chain.inertia) - 1)
-        self._weights = np.array(state_weights, dtype=float)
+        self._weights = np.array(options.state_weights, dtype=float)
         self._chain, self._goal = chain, np.array(goal, dtype=float)
-        self._printed = sdc == "printed"
+        self._printed = form == "printed"
         self.reset()
 
     def reset(self) -> None:
@@ -294,13 +292,13 @@ class OutputRegulator:
         momenta: np.ndarray | None = None,
         speed_weight: float = 1.0,
     ) -> tuple[np.ndarray, Source]:
-        """Return the joint torques, and where they came from.
+        """Return the joint torques, and how they were found.
 
         Args:
             q, v: coordinates (base x, y, psi, joints) and rates, shape (n + 3,) [m], [rad], [m/s], [rad/s].
             effort: r in R = r 1.
-            momenta: P_x, P_y and L about the world's origin, shape (3,) [N s], [N m s], which then decide the base's
-                rates instead of v.
+            momenta: P_x, P_y and L about the world's origin, from which the base's rates follow; None: v has them,
+                shape (3,) [N s], [N m s].
             speed_weight: factor on the weights of the tip's velocity in Q.
 
         Returns:
@@ -312,29 +310,32 @@ class OutputRegulator:
         case = self._goal, effort, self._printed
         for i in range(4):
             self._scratch.Q[i, i] = self._weights[i] if i < 2 else speed_weight * self._weights[i]
-        solved = regulate(self._chain, q, v, known, measured, *case, self._scratch, u)
+        solved = compute_torques(self._chain, q, v, known, measured, *case, self._scratch, u)
         self._rates = v[3:]
         self._known = self._known or solved
         return u, "riccati" if solved else "last_gain" if self._known else "none"
 
-    def compensate(self, u: np.ndarray, damping: float) -> None:
-        """Change the torques of this step by `compensation.compensate`.
+    def compensate_drift(self, options: CompensationOptions, u: np.ndarray) -> None:
+        """Update the torques of this step, shape (n,) [N m], by `compensation.compensate_drift`."""
+        compensate_drift(options, self._scratch.drift, self._scratch.B, self._rates, u)
+
+    def avoid_box(
+        self,
+        options: CompensationOptions,
+        box: np.ndarray,
+        size: tuple[float, float],
+        radius: float,
+        u: np.ndarray,
+    ) -> None:
+        """Update the torques of this step by `compensation.avoid_box`.
 
         Args:
-            u: torques, shape (n,) [N m]; the result is written here.
-            damping: of joint motion that the tip does not feel [N m s/rad].
-        """
-        compensate(self._scratch.drift, self._scratch.B, self._rates, damping, u)
-
-    def keep_off(self, u: np.ndarray, box: np.ndarray, size: tuple[float, float], radius: float) -> None:
-        """Change the torques of this step by `compensation.keep_off`.
-
-        Args:
-            u: torques, shape (n,) [N m]; the result is written here.
+            options: of the compensation.
             box: x, y, heading, vx, vy, omega, shape (6,) [m], [rad], [m/s], [rad/s].
             size: its length and width [m].
             radius: of the tip [m].
+            u: torques, updated, shape (n,) [N m].
         """
         tip = (*self._scratch.z.tolist(), *self._scratch.drift.tolist())
         contact = compute_contact(tip, radius, tuple(box.tolist()), size[0] / 2, size[1] / 2)
-        keep_off(contact, self._scratch.B, u)
+        avoid_box(options, contact, self._scratch.B, u)

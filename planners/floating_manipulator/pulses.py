@@ -1,7 +1,6 @@
 """On/off thrusters under noise and delay: one pulse, then a rest in which its effect is measured.
 
-A force that is switched anew every period by what was measured a period ago overshoots, is reversed and overshoots
-again, without end; so does one that is switched by noise.
+A force that is switched every period by an old or noisy measurement overshoots, reverses and overshoots again, forever.
 """
 
 from __future__ import annotations
@@ -11,49 +10,53 @@ from collections import deque
 
 import numpy as np
 
-REST, MEASURED = 6, 4  # control periods without force after a pulse, and of these the last ones, that are averaged
+from planners.floating_manipulator.options import EXPERT, RecoveryOptions
 
 
 class Thrusters:
-    """Turn a wanted force into pulses.
+    """Turn a desired force into pulses.
 
-    A pulse starts where the mean f of the last `MEASURED` wanted forces of an axis exceeds the dead zone. It lasts
-    m |f| / (k F) and at least one period: it takes away the speed |f| / k from a base of mass m alone, and so at most
-    that from a base with an arm. In the first periods of the rest the measurements may be older than the pulse.
+    A pulse starts where the mean f of the last `pulse_samples` desired forces of an axis exceeds the dead zone. It
+    lasts m |f| / (k F), and at least one period: it removes the speed |f| / k from a base of mass m without an arm, and
+    so at most that from a base with an arm. k is the desired force per speed, `damping` times `thruster_gain` [N s/m].
 
     Args:
         force: F of a thruster that is on [N].
-        dead_zone: smaller wanted forces leave it off [N].
-        speed_gain: k, wanted force per speed [N s/m].
+        dead_zone: smaller desired forces leave it off [N].
         mass: m of the base alone [kg].
         period: of control [s].
+        options: gains, samples and rest.
     """
 
-    def __init__(self, force: float, dead_zone: float, speed_gain: float, mass: float, period: float) -> None:
+    def __init__(
+        self, force: float, dead_zone: float, mass: float, period: float, options: RecoveryOptions = EXPERT.recovery
+    ) -> None:
         self._force, self._dead_zone = force, dead_zone
-        self._periods = mass / (speed_gain * force * period)  # of a pulse, per wanted force [1/N]
+        speed_gain = options.damping * options.thruster_gain
+        self._periods = mass / (speed_gain * force * period)  # of a pulse, per desired force [1/N]
+        self._samples, self._pause = options.pulse_samples, options.pulse_rest
         self.reset()
 
     def reset(self) -> None:
-        """Forget pulses and wanted forces."""
-        self._wanted: tuple[deque[float], ...] = (deque(maxlen=MEASURED), deque(maxlen=MEASURED))
+        """Forget pulses and desired forces."""
+        self._desired: tuple[deque[float], ...] = (deque(maxlen=self._samples), deque(maxlen=self._samples))
         self._on, self._rest, self._sign = [0, 0], [0, 0], [1.0, 1.0]
 
-    def fire(self, wanted: np.ndarray) -> np.ndarray:
-        """Return the forces of this control period, each 0 or of a thruster that is on.
+    def fire(self, desired: np.ndarray) -> np.ndarray:
+        """Return the forces of this control period: per axis 0, or the force of a thruster that is on.
 
         Args:
-            wanted: along the world's axes, shape (2,) [N].
+            desired: along the world's axes, shape (2,) [N].
         """
-        return np.array([self._fire(axis, float(force)) for axis, force in enumerate(wanted)])
+        return np.array([self._fire_axis(axis, float(force)) for axis, force in enumerate(desired)])
 
-    def _fire(self, axis: int, wanted: float) -> float:
-        memory = self._wanted[axis]
-        memory.append(wanted)
-        if self._on[axis] == 0 and self._rest[axis] == 0 and len(memory) == MEASURED:
-            mean = sum(memory) / MEASURED
+    def _fire_axis(self, axis: int, desired: float) -> float:
+        memory = self._desired[axis]
+        memory.append(desired)
+        if self._on[axis] == 0 and self._rest[axis] == 0 and len(memory) == self._samples:
+            mean = sum(memory) / self._samples
             if abs(mean) > self._dead_zone:
-                self._on[axis], self._rest[axis] = max(1, math.floor(self._periods * abs(mean))), REST
+                self._on[axis], self._rest[axis] = max(1, math.floor(self._periods * abs(mean))), self._pause
                 self._sign[axis] = math.copysign(1.0, mean)
         if self._on[axis] > 0:
             self._on[axis] -= 1

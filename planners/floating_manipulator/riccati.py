@@ -1,4 +1,4 @@
-"""The continuous algebraic Riccati equation of a small system, by the matrix sign function; compiled."""
+"""Solve the continuous algebraic Riccati equation of a small system by the matrix sign function."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-ITERATIONS = 60  # of Newton's method for the sign
-# Last relative change of the sign; the method converges quadratically, and one more step follows.
+ITERATIONS = 60  # at most, of Newton's method for the sign
+# Relative change of the sign at which one last step follows: the method converges quadratically.
 CONVERGED = 1e-7
-RESIDUAL = 1e-8  # of the equation relative to its largest term; a worse solution counts as none
+RESIDUAL = 1e-8  # greatest residual of an accepted solution, relative to the largest term of the equation
 
 
 class RiccatiScratch(NamedTuple):
-    """Hold the arrays that `solve_riccati` works in, for m states.
+    """Working arrays of `solve_riccati`, for m states.
 
-    Args:
+    Attributes:
         Z, inverse, work: sign iterate, its inverse, a copy, shape (2 m, 2 m).
         AK, SK: products, shape (m, m).
     """
@@ -35,7 +35,7 @@ def make_riccati_scratch(m: int) -> RiccatiScratch:
 
 
 @njit(cache=True)
-def invert(Z: np.ndarray, inverse: np.ndarray) -> float:
+def invert_matrix(Z: np.ndarray, inverse: np.ndarray) -> float:
     """Compute the inverse by Gauss-Jordan elimination with row pivoting; Z is destroyed.
 
     Args:
@@ -77,11 +77,11 @@ def invert(Z: np.ndarray, inverse: np.ndarray) -> float:
 
 @njit(cache=True)
 def solve_least_squares(C: np.ndarray, columns: int) -> bool:
-    """Solve min |C_1 X + C_2| by Householder reflections; X replaces the upper part of C_2.
+    """Minimise |C_1 X + C_2| by Householder reflections; X replaces the upper part of C_2.
 
     Args:
         C: (C_1, C_2) side by side; C_1 has ``columns`` columns, C_2 the rest.
-        columns: unknowns.
+        columns: number of unknowns.
 
     Returns:
         Whether C_1 has full rank.
@@ -149,15 +149,15 @@ def solve_riccati(A: np.ndarray, S: np.ndarray, Q: np.ndarray, K: np.ndarray, sc
         C[i, m + i] += 1.0
     if not solve_least_squares(C, m):
         return False
-    return accept(A, S, Q, C[:m, m:], K, scratch.AK, scratch.SK)
+    return accept_solution(A, S, Q, C[:m, m:], K, scratch.AK, scratch.SK)
 
 
 @njit(cache=True)
 def compute_sign(Z: np.ndarray, inverse: np.ndarray, work: np.ndarray) -> bool:
-    """Replace a matrix by its sign.
+    """Replace a matrix by its matrix sign.
 
     Args:
-        Z: matrix without eigenvalues on the imaginary axis, then its sign, shape (m, m).
+        Z: matrix without eigenvalues on the imaginary axis, replaced by its sign, shape (m, m).
         inverse, work: scratch, shape (m, m).
 
     Returns:
@@ -169,7 +169,7 @@ def compute_sign(Z: np.ndarray, inverse: np.ndarray, work: np.ndarray) -> bool:
         for i in range(m):
             for j in range(m):
                 work[i, j] = Z[i, j]
-        log_det = invert(work, inverse)
+        log_det = invert_matrix(work, inverse)
         if not math.isfinite(log_det):
             return False
         c = 1.0 if last else math.exp(-log_det / m)
@@ -187,10 +187,10 @@ def compute_sign(Z: np.ndarray, inverse: np.ndarray, work: np.ndarray) -> bool:
 
 
 @njit(cache=True)
-def accept(
+def accept_solution(
     A: np.ndarray, S: np.ndarray, Q: np.ndarray, X: np.ndarray, K: np.ndarray, AK: np.ndarray, SK: np.ndarray
 ) -> bool:
-    """Take the symmetric part of X for K if it solves the Riccati equation to `RESIDUAL`.
+    """Write the symmetric part of X to K if it solves the Riccati equation to `RESIDUAL`.
 
     Args:
         A, S, Q: of the equation, shape (m, m).

@@ -79,12 +79,12 @@ def test_torques_are_added_and_weights_scaled_within_their_bounds():
     scenario = load_scenario("floating_manipulator_thrusters")
     plain, corrected = make_expert(scenario), make_expert(scenario)
     for expert in (plain, corrected):
-        expert.take(at_rest(scenario))
+        expert.take_measurement(at_rest(scenario))
     corrected.correct(np.array([1.0, -1.0, 0.5, 0.0, 0.0]))
     added = corrected.compute_controls()["arm"] - plain.compute_controls()["arm"]
     np.testing.assert_allclose(added, [0.7, -0.7, 0.35], atol=1e-12)
     corrected.reset(0)
-    corrected.take(at_rest(scenario))
+    corrected.take_measurement(at_rest(scenario))
     corrected.correct(np.array([0.0, 0.0, 0.0, 1.0, -9.0]))  # clipped to -1
     regulator = OutputRegulator(scenario.chain(), scenario.arm.goal)
     wanted, _ = regulator.control(scenario.start, np.zeros(6), math.exp(2.0), np.zeros(3), math.exp(-2.0))
@@ -96,7 +96,7 @@ def test_an_unanswered_request_counts_as_zero():
     plain, corrected = make_expert(scenario), make_expert(scenario)
     for k in range(3):
         for expert in (plain, corrected):
-            expert.take(at_rest(scenario, 3.0 * k))
+            expert.take_measurement(at_rest(scenario, 3.0 * k))
         if k == 0:
             corrected.correct(np.ones(5))
         same = np.array_equal(plain.compute_controls()["arm"], corrected.compute_controls()["arm"])
@@ -106,15 +106,15 @@ def test_an_unanswered_request_counts_as_zero():
 def test_bad_corrections_are_refused():
     scenario = load_scenario("floating_manipulator_thrusters")
     expert = make_expert(scenario)
-    expert.take(at_rest(scenario))
+    expert.take_measurement(at_rest(scenario))
     for bad in (np.zeros(2), np.full(5, np.nan), np.zeros((5, 1))):
         with pytest.raises(InputError, match="correction must be 5 finite numbers"):
             expert.correct(bad)
     expert.control()
-    expert.take(at_rest(scenario, 0.005))
+    expert.take_measurement(at_rest(scenario, 0.005))
     with pytest.raises(InputError, match="no correction is awaited now"):
         expert.correct(np.zeros(5))
-    expert.take(at_rest(scenario, 1.005, contact=True))
+    expert.take_measurement(at_rest(scenario, 1.005, contact=True))
     assert not expert.awaiting_correction
 
 
@@ -127,7 +127,7 @@ def test_environment_passes_the_checker():
 def test_features_are_what_they_say():
     scenario = load_scenario("floating_manipulator_thrusters")
     expert = make_expert(scenario)
-    expert.take(at_rest(scenario, 15.0))
+    expert.take_measurement(at_rest(scenario, 15.0))
     features = expert.features()
     assert features.shape == (expert.feature_size,)
     np.testing.assert_allclose(features[:8], [0.5, 1, 0, 0, 4.5, 1.5, 0, 0], atol=1e-9)
@@ -143,6 +143,6 @@ def test_features_are_what_they_say():
 def test_shipped_checkpoint_loads_and_fits(folder):
     policy = ResidualPolicy.load(folder, soon())
     expert = policy.expert
-    expert.take(at_rest(soon()))
+    expert.take_measurement(at_rest(soon()))
     assert np.abs(policy.actor(expert.features())).max() <= 1.0
     assert np.all(np.isfinite(rollout(parallel_env(soon()), policy, 0).signals["tip.x"]))

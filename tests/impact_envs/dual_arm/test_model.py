@@ -101,8 +101,8 @@ def test_each_pads_first_touch_is_an_impact_on_the_box():
 @pytest.mark.parametrize(
     ("controls", "message"),
     [
-        ({"arm_1": np.zeros(3)}, "not so: arm_2"),
-        ({"arm_1": np.zeros(3), "arm_2": np.zeros(2)}, "control of arm_2: 3 finite joint torques"),
+        ({"arm_1": np.zeros(3)}, "wrong or missing: arm_2"),
+        ({"arm_1": np.zeros(3), "arm_2": np.zeros(2)}, r"control of arm_2 = \[0\. 0\.\]: 3 finite joint torques"),
         ({"arm_1": np.full(3, np.nan), "arm_2": np.zeros(3)}, "control of arm_1"),
     ],
 )

@@ -17,7 +17,7 @@ from impact_envs.dual_arm.plant import (
     STATE,
     TANGENTIAL,
     Plant,
-    advance,
+    advance_state,
     compute_derivative,
 )
 from impact_envs.dual_arm.schema import DualArmScenario
@@ -52,7 +52,7 @@ def squeezed(rng: np.random.Generator, depth: float) -> np.ndarray:
 
 def run(plant: Plant, s: np.ndarray, tau: np.ndarray, steps: int, h: float = H):
     s, contacts, sums = s.copy(), np.zeros((CONTACTS, 5)), np.zeros((4, 2))
-    advance(plant, tau, s, steps, h, np.zeros((6, STATE)), contacts, sums)
+    advance_state(plant, tau, s, steps, h, np.zeros((6, STATE)), contacts, sums)
     return s, contacts, sums
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from impact_envs import load_scenario, parallel_env
+from impact_envs.dual_arm.grasp_record import FIRST, GRASP
 from impact_envs.dual_arm.model import DualArmModel
 from impact_envs.dual_arm.plant import NORMAL
-from impact_envs.dual_arm.record import FIRST, GRASP
-from impact_envs.dual_arm.schema import RECORD
+from impact_envs.dual_arm.schema import GRASP_SIGNALS
 from impact_envs.dual_arm.task import DualArmTask
 from impact_envs.stl import parse
 
@@ -24,7 +24,7 @@ def push_together(scenario):
 
 
 def column(name):
-    return 14 + RECORD.index(name)
+    return 14 + GRASP_SIGNALS.index(name)
 
 
 def test_the_box_is_in_the_state_and_nowhere_in_the_observations():

@@ -12,6 +12,7 @@ from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.errors import InputError
 from planners.dual_arm import impact_prediction
 from planners.dual_arm.impact_prediction import hash_inputs, load_impact_map, place_arms, simulate_impacts
+from planners.dual_arm.options import EXPERT
 from planners.dual_arm.reference import (
     PostField,
     compute_ante_acceleration,
@@ -22,24 +23,28 @@ from planners.dual_arm.reference import (
     make_impact_map,
     predict_twist,
 )
-from planners.dual_arm.reference_spreading import Settings, make_ante_field
+from planners.dual_arm.reference_spreading import make_ante_field
+from planners.options import replace_options
 
 PATH = Path(impact_envs.__file__).parent / "dual_arm" / "scenarios" / "dual_arm_grasp.toml"
 SCENARIO = DualArmScenario.model_validate(tomllib.loads(PATH.read_text()))
-SETTINGS = Settings()
-FIELD = make_ante_field(SCENARIO, SETTINGS)
+CONTROLLER = EXPERT.controller
+FIELD = make_ante_field(SCENARIO, CONTROLLER)
 POST = PostField(
     np.array([0.0, 0.3, 0.0]),
     np.array([0.01, 0.24, 0.1]),
     SCENARIO.target.array,
-    np.array([4.0, 3.0, 0.25, 1.0]),
+    kappa=4.0,
+    kappa_theta=3.0,
+    r_max=0.25,
+    blend=True,
 )
 RNG = np.random.default_rng(0)
 
 
 @pytest.fixture(scope="module")
 def simulated():
-    return simulate_impacts(SCENARIO.as_believed(), SETTINGS)
+    return simulate_impacts(SCENARIO.as_believed(), EXPERT)
 
 
 def test_the_smoothstep_is_once_differentiable():
@@ -51,14 +56,14 @@ def test_the_smoothstep_is_once_differentiable():
 
 
 def test_the_ante_field_keeps_its_speed_outside_and_is_constant_inside():
-    speed = math.hypot(*SETTINGS.impact_velocity)
+    speed = math.hypot(*CONTROLLER.impact_velocity)
     for x, y in RNG.uniform(-1.0, 1.0, (200, 2)):
         for i in range(2):
             v = compute_ante_velocity(FIELD, i, x, y)
             r = math.hypot(x, y - 0.3)
-            if r >= SETTINGS.r_max:
+            if r >= CONTROLLER.r_max:
                 assert math.hypot(*v) == pytest.approx(speed)
-            elif r <= SETTINGS.r_min:
+            elif r <= CONTROLLER.r_min:
                 assert v == tuple(FIELD.velocities[i])
             else:
                 assert math.hypot(*v) <= speed + 1e-12
@@ -87,21 +92,21 @@ def test_the_path_of_the_ante_field_ends_near_the_impact_point_with_the_impact_v
         if p[0] >= -SCENARIO.box.half_width:
             break
     assert p == pytest.approx(FIELD.points[0], abs=5e-3)
-    assert compute_ante_velocity(FIELD, 0, *p) == pytest.approx(SETTINGS.impact_velocity)
+    assert compute_ante_velocity(FIELD, 0, *p) == pytest.approx(CONTROLLER.impact_velocity)
 
 
 def test_turns_take_the_short_way():
     for turn in (-3.0, -0.5, 0.5, 3.0):
         for whole in (-2, 0, 1):
             rate, acceleration = compute_ante_rate(FIELD, 1, math.pi - turn + math.tau * whole)
-            assert rate == pytest.approx(FIELD.shape[3] * turn)
-            assert acceleration == pytest.approx(-FIELD.shape[3] * rate)
+            assert rate == pytest.approx(FIELD.kappa_theta * turn)
+            assert acceleration == pytest.approx(-FIELD.kappa_theta * rate)
 
 
 def test_the_post_field_starts_with_the_prediction_and_ends_at_the_target():
     assert compute_post_reference(POST, 0.0, 0.3, 0.0)[:3] == pytest.approx((0.01, 0.24, 0.1))
     assert compute_post_reference(POST, *POST.target)[:3] == pytest.approx((0.0, 0.0, 0.0))
-    plain = POST._replace(shape=np.array([4.0, 3.0, 0.25, 0.0]))
+    plain = POST._replace(blend=False)
     assert compute_post_reference(plain, 0.0, 0.3, 0.0)[:2] == pytest.approx((1.0, 1.2))
 
 
@@ -117,7 +122,7 @@ def test_the_interpolation_is_exact_at_its_nodes_and_clipped_outside():
 def test_simulated_impacts_start_on_the_faces_at_the_reference_velocity():
     from impact_envs.dual_arm.arm import compute_kinematics
 
-    q, v = place_arms(SCENARIO, SETTINGS, np.array([0.03, -0.02]))
+    q, v = place_arms(SCENARIO, CONTROLLER, np.array([0.03, -0.02]))
     for i, (height, arm) in enumerate(zip((0.03, -0.02), SCENARIO.arm_numbers(), strict=True)):
         pose, J, drift = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
         compute_kinematics(arm, q[i], v[i], pose, J, drift)
@@ -138,34 +143,38 @@ def test_predictions_are_kept_on_disk(simulated, tmp_path, monkeypatch):
     monkeypatch.setenv("IMPACT_ENVS_CACHE", str(tmp_path))
     calls = []
     monkeypatch.setattr(impact_prediction, "simulate_impacts", lambda *_: calls.append(1) or simulated)
-    first = load_impact_map(SCENARIO, SETTINGS)
-    again = load_impact_map(SCENARIO, SETTINGS)
+    first = load_impact_map(SCENARIO, EXPERT)
+    again = load_impact_map(SCENARIO, EXPERT)
     assert len(calls) == 1
     assert np.array_equal(first.weights, again.weights)
     (file,) = tmp_path.iterdir()
     file.write_bytes(b"broken")
-    assert np.array_equal(load_impact_map(SCENARIO, SETTINGS).weights, first.weights)
+    assert np.array_equal(load_impact_map(SCENARIO, EXPERT).weights, first.weights)
     assert len(calls) == 2
     assert [path.suffix for path in tmp_path.iterdir()] == [".npz"]
 
 
 def test_predictions_are_named_by_what_is_believed():
-    name = hash_inputs(SCENARIO.as_believed(), SETTINGS)
+    def name_with(**values):
+        return hash_inputs(SCENARIO.as_believed(), replace_options(EXPERT, values))
+
+    name = name_with()
     blind = SCENARIO.model_copy(update={"true": SCENARIO.true.model_copy(update={"box_y": 0.01})})
-    assert hash_inputs(blind.as_believed(), SETTINGS) == name
+    assert hash_inputs(blind.as_believed(), EXPERT) == name
     heavier = SCENARIO.model_copy(update={"box": SCENARIO.box.model_copy(update={"mass": 3.0})})
-    assert hash_inputs(heavier.as_believed(), SETTINGS) != name
-    assert hash_inputs(SCENARIO.as_believed(), replace(SETTINGS, k_p=60.0)) != name
-    assert hash_inputs(SCENARIO.as_believed(), replace(SETTINGS, k_int=60.0)) == name
+    assert hash_inputs(heavier.as_believed(), EXPERT) != name
+    assert name_with(**{"controller.k_p": 60.0}) != name
+    assert name_with(**{"prediction.greatest_height": 0.04}) != name
+    assert name_with(**{"controller.k_int": 60.0}) == name
 
 
 def test_a_directory_that_cannot_be_written_stops_nothing(simulated, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("IMPACT_ENVS_CACHE", os.fspath(tmp_path / "file" / "below"))
     monkeypatch.setattr(impact_prediction, "simulate_impacts", lambda *_: simulated)
-    assert load_impact_map(SCENARIO, SETTINGS).weights.shape == (3, 25)
+    assert load_impact_map(SCENARIO, EXPERT).weights.shape == (3, 25)
 
 
 def test_radii_inside_the_box_are_refused():
     with pytest.raises(InputError, match=r"r_min = 0.1 and r_max = 0.3"):
-        make_ante_field(SCENARIO, replace(SETTINGS, r_min=0.1))
+        make_ante_field(SCENARIO, replace(CONTROLLER, r_min=0.1))

@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 
 import impact_envs
+from impact_envs import load_scenario, parallel_env, rollout
 from impact_envs.dual_arm.model import DualArmModel
 from impact_envs.dual_arm.plant import NORMAL
 from impact_envs.dual_arm.schema import DualArmScenario, Pose
 from impact_envs.errors import InputError
+from planners import list_options, make_expert
 from planners.dual_arm.expert import DualArmExpert
-from planners.dual_arm.impact_prediction import RHO, simulate_impacts
+from planners.dual_arm.impact_prediction import simulate_impacts
+from planners.dual_arm.options import EXPERT, PAPER, VARIANTS, ControllerOptions
 from planners.dual_arm.reference import make_impact_map
-from planners.dual_arm.reference_spreading import PAPER, ReferenceSpreading, Settings
+from planners.dual_arm.reference_spreading import ReferenceSpreading
+from planners.options import replace_options
 
 PATH = Path(impact_envs.__file__).parent / "dual_arm" / "scenarios" / "dual_arm_grasp.toml"
 SCENARIO = DualArmScenario.model_validate(tomllib.loads(PATH.read_text()))
@@ -39,12 +43,12 @@ class Run:
 
 @pytest.fixture(scope="module")
 def impact_map():
-    return make_impact_map(*simulate_impacts(SCENARIO.as_believed(), Settings()), RHO)
+    return make_impact_map(*simulate_impacts(SCENARIO.as_believed(), EXPERT), EXPERT.prediction.rho)
 
 
 @pytest.fixture(scope="module")
 def paper_map():
-    return make_impact_map(*simulate_impacts(SCENARIO.as_believed(), PAPER), RHO)
+    return make_impact_map(*simulate_impacts(SCENARIO.as_believed(), PAPER), PAPER.prediction.rho)
 
 
 def simulate(scenario: DualArmScenario, controller: ReferenceSpreading, seconds: float) -> Run:
@@ -75,20 +79,14 @@ def simulate(scenario: DualArmScenario, controller: ReferenceSpreading, seconds:
 
 @pytest.fixture(scope="module")
 def runs(impact_map, paper_map):
-    """The nominal set-up under every method as published, and under the controller as shipped."""
-    cases = {"shipped": (Settings(), "proposed")}
-    cases |= {method: (PAPER, method) for method in ("proposed", "no_impact_map", "no_interim_phase")}
-    return {
-        name: simulate(
-            SCENARIO,
-            ReferenceSpreading(SCENARIO, paper_map if settings == PAPER else impact_map, settings, method),
-            2.2,
-        )
-        for name, (settings, method) in cases.items()
-    }
+    """The nominal set-up under the expert and its variants."""
+    variants = {name: VARIANTS[name].controller for name in ("published", "no_impact_map", "no_interim_phase")}
+    controllers = {name: ReferenceSpreading(SCENARIO, paper_map, options) for name, options in variants.items()}
+    controllers["expert"] = ReferenceSpreading(SCENARIO, impact_map)
+    return {name: simulate(SCENARIO, controller, 2.2) for name, controller in controllers.items()}
 
 
-@pytest.mark.parametrize("name", ["proposed", "shipped"])
+@pytest.mark.parametrize("name", ["published", "expert"])
 def test_both_arms_hit_at_once_and_carry_the_box_to_the_target(runs, name):
     run = runs[name]
     assert abs(run.hits[0] - run.hits[1]) <= 15
@@ -101,7 +99,7 @@ def test_both_arms_hit_at_once_and_carry_the_box_to_the_target(runs, name):
     assert np.mean(run.forces[post:].min(axis=1) > 0.0) >= 0.99
 
 
-@pytest.mark.parametrize("name", ["proposed", "shipped"])
+@pytest.mark.parametrize("name", ["published", "expert"])
 def test_the_proposed_controller_steps_least(runs, name):
     step = runs[name].step
     assert step <= 20.0
@@ -118,13 +116,13 @@ def test_the_soft_start_keeps_torques_from_their_limits_before_contact(runs):
     def saturated(run: Run) -> bool:
         return bool((np.abs(run.torques[: min(run.hits)]) >= LIMITS - 1e-6).any())
 
-    assert saturated(runs["proposed"])
-    assert not saturated(runs["shipped"])
+    assert saturated(runs["published"])
+    assert not saturated(runs["expert"])
 
 
 def test_the_prediction_meets_the_box_as_it_leaves(runs):
     """Without the map the reference at the grasp is an order of magnitude farther from the box's velocity."""
-    controller = runs["proposed"].controller
+    controller = runs["published"].controller
     assert controller.predicted[:2] == pytest.approx((0.0, 0.24), abs=0.02)
     target, start = np.array(SCENARIO.target.position), np.array(SCENARIO.box.start.position)
     without = np.linalg.norm(4.0 * (target - start) - controller.predicted[:2])
@@ -132,7 +130,7 @@ def test_the_prediction_meets_the_box_as_it_leaves(runs):
 
 
 def test_arms_that_are_not_synchronised_hit_far_apart(paper_map):
-    run = simulate(SCENARIO, ReferenceSpreading(SCENARIO, paper_map, PAPER, "no_synchronisation"), 1.3)
+    run = simulate(SCENARIO, ReferenceSpreading(SCENARIO, paper_map, VARIANTS["no_synchronisation"].controller), 1.3)
     assert abs(run.hits[0] - run.hits[1]) > 50
 
 
@@ -141,8 +139,11 @@ def test_from_far_starts_both_pads_meet_the_box_in_time_and_at_its_middle(impact
     physics = SCENARIO.draw(np.random.default_rng(0))
     starts = physics.starts + np.array([[0.06, -0.08, 0.4], [-0.06, 0.08, 0.4]])
     heights, lags = {}, {}
-    for name, (settings, found) in {"shipped": (Settings(), impact_map), "paper": (PAPER, paper_map)}.items():
-        model, controller = DualArmModel(SCENARIO), ReferenceSpreading(SCENARIO, found, settings)
+    for name, (options, found) in {
+        "expert": (EXPERT.controller, impact_map),
+        "paper": (PAPER.controller, paper_map),
+    }.items():
+        model, controller = DualArmModel(SCENARIO), ReferenceSpreading(SCENARIO, found, options)
         model.reset(replace(physics, starts=starts))
         first = [math.inf, math.inf]
         for k in range(1000):
@@ -150,15 +151,15 @@ def test_from_far_starts_both_pads_meet_the_box_in_time_and_at_its_middle(impact
             touched = model.contacts()[:4, NORMAL].reshape(2, 2).max(axis=1) > 0.0
             first = [k if now and before == math.inf else before for now, before in zip(touched, first, strict=True)]
         heights[name], lags[name] = np.abs(controller.heights).max(), abs(first[0] - first[1])
-    assert heights["shipped"] <= 5e-3 < heights["paper"]
-    assert lags["shipped"] <= 6
+    assert heights["expert"] <= 5e-3 < heights["paper"]
+    assert lags["expert"] <= 6
 
 
 def test_the_grip_presses_as_asked(impact_map):
     """A held weight creeps less the more it is pressed, down to what the joints' springs give."""
     forces, slips = {}, {}
     for grip in (0.0, 25.0):
-        run = simulate(SCENARIO, ReferenceSpreading(SCENARIO, impact_map, Settings(grip=grip)), 2.2)
+        run = simulate(SCENARIO, ReferenceSpreading(SCENARIO, impact_map, ControllerOptions(grip=grip)), 2.2)
         forces[grip], slips[grip] = run.forces[-1].mean(), run.slip
     assert forces[25.0] == pytest.approx(25.0, abs=1.0) and forces[0.0] < 16.0
     assert slips[25.0] < 0.6 * slips[0.0]
@@ -173,8 +174,8 @@ def test_the_press_ends_a_long_interim_phase(paper_map):
         for name, arm in SCENARIO.arms.items()
     }
     scenario = SCENARIO.model_copy(update={"true": SCENARIO.true.model_copy(update=true), "arms": arms})
-    paper = simulate(scenario, ReferenceSpreading(scenario, paper_map, PAPER), 1.3)
-    pressed = simulate(scenario, ReferenceSpreading(scenario, paper_map, replace(PAPER, press=10.0)), 1.3)
+    paper = simulate(scenario, ReferenceSpreading(scenario, paper_map, PAPER.controller), 1.3)
+    pressed = simulate(scenario, ReferenceSpreading(scenario, paper_map, replace(PAPER.controller, press=10.0)), 1.3)
     assert paper.interim > 0.1
     assert pressed.interim <= 0.05
     assert pressed.step < paper.step
@@ -194,7 +195,7 @@ def test_a_pickled_run_goes_on_bit_for_bit(impact_map):
 
 
 def test_a_time_out_ends_the_interim_phase(impact_map):
-    controller = ReferenceSpreading(SCENARIO, impact_map, Settings(time_out=0.01))
+    controller = ReferenceSpreading(SCENARIO, impact_map, ControllerOptions(time_out=0.01))
     controller.control(*DualArmModel(SCENARIO).joints(), np.array([1.0, 0.0, 0.0, 0.0]))
     assert controller.phase == "interim"
     for _ in range(10):
@@ -203,7 +204,7 @@ def test_a_time_out_ends_the_interim_phase(impact_map):
 
 
 def test_the_fade_removes_the_step_at_the_grasp(paper_map):
-    run = simulate(SCENARIO, ReferenceSpreading(SCENARIO, paper_map, replace(PAPER, fade=0.01)), 1.2)
+    run = simulate(SCENARIO, ReferenceSpreading(SCENARIO, paper_map, replace(PAPER.controller, fade=0.01)), 1.2)
     post = round(run.controller.switches["post"] / SCENARIO.tick)
     assert np.abs(run.torques[post] - run.torques[post - 1]).max() < 1e-9
     assert run.step < 5.0
@@ -211,7 +212,7 @@ def test_the_fade_removes_the_step_at_the_grasp(paper_map):
 
 def test_rigid_joints_are_grasped_alike(paper_map):
     rigid = SCENARIO.model_copy(update={"joints": SCENARIO.joints.model_copy(update={"flexible": False})})
-    run = simulate(rigid, ReferenceSpreading(rigid, paper_map, PAPER), 1.6)
+    run = simulate(rigid, ReferenceSpreading(rigid, paper_map, PAPER.controller), 1.6)
     assert abs(run.hits[0] - run.hits[1]) <= 15
     assert run.at_limit == 0
     assert run.step <= 22.0
@@ -241,13 +242,29 @@ def test_the_expert_knows_only_what_is_believed(tmp_path, monkeypatch):
     assert len(experts[0].diagnostics().solve_seconds) == 1
     assert experts[0].controller.phase == "ante"
     assert not experts[0].diagnostics().fallbacks
-    assert DualArmExpert(SCENARIO, method="no_impact_map").name == "no_impact_map"
+    assert DualArmExpert(SCENARIO, "no_impact_map").name == "no_impact_map"
 
 
-def test_unknown_methods_and_negative_settings_are_refused():
-    with pytest.raises(InputError, match="setting k_int = -1 must not be negative"):
-        Settings(k_int=-1.0)
+def test_bad_options_are_refused():
+    with pytest.raises(InputError, match=r"controller\.k_int = -1 is negative"):
+        replace_options(EXPERT, {"controller.k_int": -1.0})
     with pytest.raises(InputError, match="did you mean 'no_interim_phase'"):
-        ReferenceSpreading(SCENARIO, None, method="no_interim")
+        DualArmExpert(SCENARIO, "no_interim")
+    with pytest.raises(InputError, match="solver 'osqp' is unknown; choices: daqp, clarabel"):
+        make_expert("dual_arm_grasp", options={"solver": "osqp"})
     with pytest.raises(InputError, match="needs an impact map"):
         ReferenceSpreading(SCENARIO, None)
+
+
+def test_a_variant_is_a_set_of_options(impact_map):
+    """What a variant does, an expert with the options of that variant does bit for bit."""
+    scenario = load_scenario("dual_arm_grasp").override({"horizon": 1.0, "formula": "G[0,1] box.lag <= 0.015"})
+    changes = {"controller.press": 0.0, "controller.grip": 40.0, "correction.period": 0.1}
+    experts = (
+        make_expert(scenario, variant="published", options={"controller.grip": 40.0, "correction.period": 0.1}),
+        make_expert(scenario, options=list_options(scenario, "published") | changes),
+    )
+    first, second = (rollout(parallel_env(scenario), expert, 1) for expert in experts)
+    for agent in scenario.agents:
+        assert np.array_equal(first.actions[agent], second.actions[agent])
+    assert {expert.controller.options.grip for expert in experts} == {40.0}

@@ -10,10 +10,12 @@ import impact_envs
 from impact_envs.floating_manipulator.contact import compute_contact
 from impact_envs.floating_manipulator.model import FloatingManipulatorModel
 from impact_envs.floating_manipulator.observation import Measurement
-from planners.floating_manipulator.compensation import APPROACH_RATE, CLEARANCE, compensate, keep_off
-from planners.floating_manipulator.expert import FloatingManipulatorExpert, make_floating_manipulator_expert
+from planners.floating_manipulator.compensation import avoid_box, compensate_drift
+from planners.floating_manipulator.expert import FloatingManipulatorExpert
+from planners.floating_manipulator.options import EXPERT
 
 GOAL = np.array([3.0, 0.0])
+OPTIONS = EXPERT.compensation
 
 
 def draw_case(seed, n=3):
@@ -32,7 +34,7 @@ def draw_case(seed, n=3):
 def test_drift_is_cancelled_and_damping_does_not_move_the_tip(seed, n):
     drift, B, rates, before = draw_case(seed, n)
     after = before.copy()
-    compensate(drift, B, rates, 0.5, after)
+    compensate_drift(OPTIONS, drift, B, rates, after)
     # to (s / sigma)^2 of what is to be cancelled, s = 0.01 and sigma the least singular value
     least = np.linalg.svd(B)[1][1]
     wanted = np.abs(drift).max() + 0.5 * np.abs(B @ rates).max()
@@ -43,13 +45,13 @@ def test_drift_is_cancelled_and_damping_does_not_move_the_tip(seed, n):
 def test_damping_takes_energy_from_internal_motion_only(seed):
     _, B, rates, _ = draw_case(seed)
     torques = np.zeros(3)
-    compensate(np.zeros(2), B, rates, 0.5, torques)
+    compensate_drift(OPTIONS, np.zeros(2), B, rates, torques)
     internal = np.linalg.svd(B)[2][2]
     assert rates @ torques <= 0.0
     np.testing.assert_allclose(internal @ torques, -0.5 * internal @ rates, atol=1e-12)
     rates = B.T @ [0.3, -0.2]  # nothing internal
     torques = np.zeros(3)
-    compensate(np.zeros(2), B, rates, 0.5, torques)
+    compensate_drift(OPTIONS, np.zeros(2), B, rates, torques)
     np.testing.assert_allclose(torques, 0.0, atol=1e-3)
 
 
@@ -61,11 +63,12 @@ def test_tip_comes_near_no_faster_than_allowed_by_the_smallest_change(speed, dis
         (1.0 + distance, 0.2, speed, 0.1, *drift), 0.001, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 1.0, 1.0
     )
     after = before.copy()
-    keep_off(contact, B, after)
+    avoid_box(OPTIONS, contact, B, after)
 
     def margin(u):
         acceleration = contact.bias + contact.nx * B[0] @ u + contact.ny * B[1] @ u
-        return acceleration + 2 * APPROACH_RATE * contact.rate + APPROACH_RATE**2 * (contact.gap - CLEARANCE)
+        rate = OPTIONS.approach_rate
+        return acceleration + 2 * rate * contact.rate + rate**2 * (contact.gap - OPTIONS.clearance)
 
     if margin(before) >= 0.0:
         np.testing.assert_array_equal(after, before)
@@ -82,7 +85,7 @@ def play(expert, physics, scenario, until):
     expert.reset(0)
     while model.time < until - 1e-9:
         box = model.state()[-2, [0, 1, 4, 2, 3, 5]]
-        expert.take(Measurement(model.time, *model.coordinates(), touched, box))
+        expert.take_measurement(Measurement(model.time, *model.coordinates(), touched, box))
         impacts = model.step(expert.compute_controls())
         touched, times = bool(impacts), times + [impact.time for impact in impacts]
         errors.append(math.dist(model.state()[-3, :2], GOAL))
@@ -93,7 +96,7 @@ def test_a_light_load_is_held_only_with_compensation():
     scenario = impact_envs.load_scenario("floating_manipulator_thrusters").override({"true.load_mass_scale": 0.6})
     physics = scenario.draw(np.random.default_rng(0))
     held, drifting = (
-        play(make_floating_manipulator_expert(scenario, variant), physics, scenario, 30.0)[1][5000:].max()
+        play(FloatingManipulatorExpert(scenario, variant), physics, scenario, 30.0)[1][5000:].max()
         for variant in (None, "published")
     )
     assert held < 0.02
@@ -115,7 +118,7 @@ def test_a_grazed_box_is_hit_again_only_without_compensation():
         no_load_speed=np.full(3, 0.43),
     )
     once, _ = play(FloatingManipulatorExpert(scenario), grazed, scenario, 16.0)
-    twice, _ = play(FloatingManipulatorExpert(scenario, compensated=False), grazed, scenario, 16.0)
+    twice, _ = play(FloatingManipulatorExpert(scenario, "published"), grazed, scenario, 16.0)
     assert len(once) == 1
     assert len(twice) == 2
 
@@ -136,8 +139,7 @@ def test_compensation_comes_after_the_impact_and_only_where_the_base_is_driven(n
     scenario = impact_envs.load_scenario(name).override(SOON)
     physics = scenario.draw(np.random.default_rng(0))
     (times, plain), (_, compensated) = (
-        play(make_floating_manipulator_expert(scenario, variant), physics, scenario, until)
-        for variant in ("published", None)
+        play(FloatingManipulatorExpert(scenario, variant), physics, scenario, until) for variant in ("published", None)
     )
     assert bool(times) == (until > 1.0)
     assert np.array_equal(plain, compensated) == same

@@ -16,7 +16,9 @@ from impact_envs.floating_manipulator.observation import Measurement, observatio
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from impact_envs.stl import Trace, parse, satisfied
 from planners import list_variants, make_expert
-from planners.floating_manipulator.expert import FloatingManipulatorExpert, make_floating_manipulator_expert
+from planners.floating_manipulator.expert import FloatingManipulatorExpert
+from planners.floating_manipulator.options import EXPERT
+from planners.options import replace_options
 
 FOLDER = Path(impact_envs.__file__).parent / "floating_manipulator"
 GOAL = np.array([3.0, 0.0])
@@ -27,16 +29,18 @@ def load(name, **tables):
     return FloatingManipulatorScenario.model_validate({"name": name, **data, "requirements": {}, **tables})
 
 
-def run(scenario, physics=None, until=None, expert=None, **options):
+def run(scenario, physics=None, until=None, expert=None, variant=None):
     """Model, expert, collisions, tip errors and torques of one episode."""
     model = FloatingManipulatorModel(scenario)
     model.reset(physics or scenario.draw(np.random.default_rng(0)))
-    expert = expert or FloatingManipulatorExpert(scenario, **options)
+    expert = expert or FloatingManipulatorExpert(scenario, variant)
     expert.reset(0)
     collisions, errors, torques, phases, touched = [], [], [], [], False
     model.tips = [model.state()[-3, :2]]
     for _ in range(scenario.steps):
-        expert.take(Measurement(model.time, *model.coordinates(), touched, model.state()[-2, [0, 1, 4, 2, 3, 5]]))
+        expert.take_measurement(
+            Measurement(model.time, *model.coordinates(), touched, model.state()[-2, [0, 1, 4, 2, 3, 5]])
+        )
         controls = expert.compute_controls()
         phases.append(expert.phase)
         touched = bool(model.step(controls))
@@ -153,7 +157,7 @@ def test_passive_arm_drifts_with_constant_momentum():
 def test_printed_coefficients_pass_above_the_box():
     # With the printed law the tip crosses the plane of the box's face at 9.16 s and y = 0.31, where the box is not.
     scenario = load("floating_manipulator")
-    model, _, collisions, _, _, _ = run(scenario, until=lambda m: m.state()[-3, 0] <= 4.009, sdc="printed")
+    model, _, collisions, _, _, _ = run(scenario, until=lambda m: m.state()[-3, 0] <= 4.009, variant="printed")
     assert not collisions
     assert model.time == pytest.approx(9.16, abs=0.1)
     assert model.state()[-3, 1] == pytest.approx(0.31, abs=0.02)
@@ -172,9 +176,7 @@ def test_no_torque_during_the_pause_and_phases_in_order():
 
 def test_momentum_constraint_equals_measured_base_rates():
     scenario = load("floating_manipulator_thrusters")
-    constrained, measured = (
-        run(scenario, base_rates=source, compensated=False)[0].state() for source in ("momentum", "measured")
-    )
+    constrained, measured = (run(scenario, variant=name)[0].state() for name in ("published", "measured_base"))
     np.testing.assert_allclose(constrained, measured, atol=1e-6)
 
 
@@ -197,7 +199,7 @@ def test_expert_does_not_see_the_true_physics():
         q = believed.start + 0.1 * rng.normal(size=6)
         measurement = Measurement(0.5 * k, q, 0.1 * rng.normal(size=6), k == 8, np.append(rng.normal(size=5), 0.0))
         for expert in experts:
-            expert.take(measurement)
+            expert.take_measurement(measurement)
         one, two = (expert.compute_controls() for expert in experts)
         for agent in ("arm", "base"):
             np.testing.assert_array_equal(one[agent], two[agent])
@@ -220,14 +222,14 @@ def test_actions_are_the_scaled_controls():
     vector[4:10], vector[10:13] = [*q[3:], *v[:3]], v[3:]
     vector[-3] = measured.time / scenario.horizon
     expert = FloatingManipulatorExpert(scenario)
-    expert.take(measured)
+    expert.take_measurement(measured)
     controls = expert.compute_controls()
     actions = FloatingManipulatorExpert(scenario).act({"arm": vector, "base": vector})
     assert actions.keys() == {"arm", "base"}
     np.testing.assert_allclose(actions["arm"], np.clip(controls["arm"] / 42.0, -1, 1), atol=1e-12)
     assert not actions["base"].any()
     vector[-4] = 1.0  # an impact is felt: the base brakes what it has
-    braking = FloatingManipulatorExpert(scenario, compensated=False).act({"arm": vector, "base": vector})["base"]
+    braking = FloatingManipulatorExpert(scenario, "published").act({"arm": vector, "base": vector})["base"]
     np.testing.assert_allclose(braking, -0.75 * 0.05 * np.array([1.0, 1.0, 200.0 / 60.0]), atol=1e-12)
 
 
@@ -236,7 +238,23 @@ def test_variants_are_named_and_others_refused():
     assert {"printed", "measured_base"} <= set(list_variants(scenario))
     for name in list_variants(scenario):
         assert make_expert(scenario, variant=name).name == name
-    for name in (None, "published"):
-        assert make_floating_manipulator_expert(scenario, name).name == (name or "expert")
+    assert make_expert(scenario).name == "expert"
     with pytest.raises(InputError, match="no variant 'printet'; did you mean 'printed'"):
         make_expert(scenario, variant="printet")
+    with pytest.raises(InputError, match="variant 'printet' is unknown; did you mean 'printed'"):
+        FloatingManipulatorExpert(scenario, "printet")
+
+
+def test_options_are_set_by_their_names():
+    scenario = load("floating_manipulator_thrusters")
+    expert = make_expert(scenario, options={"recovery.damping": 1.5})
+    assert expert.options == replace_options(EXPERT, {"recovery.damping": 1.5})
+    measured = Measurement(2.0, scenario.start, np.full(6, 0.05), True, np.zeros(6))
+    plain = FloatingManipulatorExpert(scenario)
+    for pausing in (expert, plain):
+        pausing.take_measurement(measured)
+    np.testing.assert_allclose(expert.compute_controls()["arm"], 2.0 * plain.compute_controls()["arm"], atol=1e-12)
+    with pytest.raises(InputError, match=r"expert\.recovery\.dampign is unknown; did you mean 'recovery.damping'"):
+        make_expert(scenario, options={"recovery.dampign": 1.0})
+    with pytest.raises(InputError, match="coefficients 'print' is unknown; did you mean 'printed'"):
+        make_expert(scenario, options={"regulator.coefficients": "print"})

@@ -13,6 +13,7 @@ from impact_envs.physics.multibody import (
     compute_point,
     make_chain,
 )
+from planners.floating_manipulator.options import RegulatorOptions
 from planners.floating_manipulator.osdre import (
     OutputRegulator,
     OutputScratch,
@@ -88,29 +89,29 @@ def test_momenta_and_joint_rates_determine_the_base():
         np.testing.assert_allclose(found, v, atol=1e-10)
 
 
-@pytest.mark.parametrize("sdc", ["absolute_output", "printed"])
-def test_measured_rates_and_momenta_give_the_same_torque(sdc):
+@pytest.mark.parametrize("form", ["absolute_output", "printed"])
+def test_measured_rates_and_momenta_give_the_same_torque(form):
     rng, chain = np.random.default_rng(3), chain_of(3)
     for _ in range(10):
         q, v = rng.uniform(-1, 1, 6) + np.array([5.0, -1.75, 0.0, 1.0, 1.1, -2.0]), 0.1 * rng.normal(size=6)
         momenta = np.array(matrices(chain, q, v)[-1])
-        regulator = OutputRegulator(chain, (3.0, 0.0), sdc)
+        regulator = OutputRegulator(chain, (3.0, 0.0), RegulatorOptions(form))
         measured, source = regulator.control(q, v, 1.0)
         derived, _ = regulator.control(q, np.concatenate([np.zeros(3), v[3:]]), 1.0, momenta)
         assert source == "riccati"
         np.testing.assert_allclose(derived, measured, atol=1e-7)
 
 
-@pytest.mark.parametrize("sdc", ["absolute_output", "printed"])
-def test_law_pulls_the_tip_to_its_goal_and_rests_there(sdc):
+@pytest.mark.parametrize("form", ["absolute_output", "printed"])
+def test_law_pulls_the_tip_to_its_goal_and_rests_there(form):
     chain, q = chain_of(3), np.array([5.0, -1.75, 0.1, 1.03247, 1.131766, -2.164236])
     s = scratch_of(OutputRegulator(chain, (0.0, 0.0)))
     compute_output_dynamics(chain, q, np.zeros(6), s)
     here, B = s.z[:2].copy(), s.B.copy()
     for direction in np.eye(2):
-        u, _ = OutputRegulator(chain, tuple(here + direction), sdc).control(q, np.zeros(6), 1.0)
+        u, _ = OutputRegulator(chain, tuple(here + direction), RegulatorOptions(form)).control(q, np.zeros(6), 1.0)
         assert direction @ B @ u > 0
-    u, _ = OutputRegulator(chain, tuple(here), sdc).control(q, np.zeros(6), 1.0)
+    u, _ = OutputRegulator(chain, tuple(here), RegulatorOptions(form)).control(q, np.zeros(6), 1.0)
     np.testing.assert_allclose(u, 0.0, atol=1e-12)
 
 
@@ -129,10 +130,10 @@ def test_stretched_arm_is_driven_by_the_last_gain_and_counted():
     assert regulator.control(stretched, np.zeros(6), 1.0)[1] == "none"
 
 
-@pytest.mark.parametrize("sdc", ["absolute_output", "printed"])
-def test_tip_at_the_origin_and_slow_self_motion_stay_finite(sdc):
+@pytest.mark.parametrize("form", ["absolute_output", "printed"])
+def test_tip_at_the_origin_and_slow_self_motion_stay_finite(form):
     chain = chain_of(3)
-    regulator = OutputRegulator(chain, (3.0, 0.0), sdc)
+    regulator = OutputRegulator(chain, (3.0, 0.0), RegulatorOptions(form))
     s = scratch_of(regulator)
     q = np.array([0.0, 0.0, 0.1, 1.03247, 1.131766, -2.164236])
     compute_output_dynamics(chain, q, np.zeros(6), s)
@@ -151,4 +152,4 @@ def test_tip_at_the_origin_and_slow_self_motion_stay_finite(sdc):
 
 def test_unknown_form_is_refused():
     with pytest.raises(InputError, match="did you mean 'printed'"):
-        OutputRegulator(chain_of(3), (0.0, 0.0), "print")
+        OutputRegulator(chain_of(3), (0.0, 0.0), RegulatorOptions("print"))

@@ -6,18 +6,21 @@ import pytest
 import impact_envs
 from impact_envs import parallel_env, rollout
 from planners import make_expert
-from planners.floating_manipulator.pulses import MEASURED, REST, Thrusters
+from planners.floating_manipulator.options import EXPERT
+from planners.floating_manipulator.pulses import Thrusters
 
-FORCE, DEAD_ZONE, POSITION_GAIN, SPEED_GAIN, MASS, PERIOD = 50.0, 1.0, 50.0, 37.5, 5.0, 0.005
+FORCE, DEAD_ZONE, MASS, PERIOD = 50.0, 1.0, 5.0, 0.005
+OPTIONS = EXPERT.recovery
+POSITION_GAIN, SPEED_GAIN = OPTIONS.thruster_gain, OPTIONS.damping * OPTIONS.thruster_gain
 
 
 def make():
-    return Thrusters(FORCE, DEAD_ZONE, SPEED_GAIN, MASS, PERIOD)
+    return Thrusters(FORCE, DEAD_ZONE, MASS, PERIOD, OPTIONS)
 
 
 def brake(mass, delay, noise=0.0, start=0.1, force=FORCE, seconds=4.0, gain=POSITION_GAIN):
     """Speeds of a base along x [m/s], and the forces on it, under measurements that are old and noisy."""
-    thrusters, rng = Thrusters(force, DEAD_ZONE, SPEED_GAIN, MASS, PERIOD), np.random.default_rng(0)
+    thrusters, rng = Thrusters(force, DEAD_ZONE, MASS, PERIOD, OPTIONS), np.random.default_rng(0)
     x, v, seen, speeds, forces = 0.0, start, [], [], []
     for _ in range(round(seconds / PERIOD)):
         seen.append((x + noise * rng.standard_normal(), v + noise * rng.standard_normal()))
@@ -48,7 +51,7 @@ def test_the_first_pulse_does_not_turn_the_motion_of_the_base_alone_round():
             assert abs(speeds[-1]) <= DEAD_ZONE / SPEED_GAIN
 
 
-def test_wishes_inside_the_dead_zone_leave_the_thrusters_off():
+def test_forces_inside_the_dead_zone_leave_the_thrusters_off():
     thrusters = make()
     assert not any(thrusters.fire(np.array([0.9, -0.9])).any() for _ in range(50))
 
@@ -57,8 +60,8 @@ def test_a_pulse_is_followed_by_a_rest_and_axes_are_apart():
     thrusters = make()
     fired = np.array([thrusters.fire(np.array([2.0, 0.0])) for _ in range(40)])
     starts = np.flatnonzero(fired[:, 0])
-    assert starts[0] == MEASURED - 1
-    assert np.all(np.diff(starts) == REST + 1)
+    assert starts[0] == OPTIONS.pulse_samples - 1
+    assert np.all(np.diff(starts) == OPTIONS.pulse_rest + 1)
     assert set(fired[:, 0]) == {0.0, FORCE}
     assert not fired[:, 1].any()
     thrusters.reset()

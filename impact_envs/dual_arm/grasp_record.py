@@ -1,7 +1,7 @@
-"""What a grasp came to, kept tick by tick: contact forces, torque steps, slip, how far apart the impacts were.
+"""The quality of a grasp, recorded tick by tick: contact forces, torque steps, slip, time between the impacts.
 
 A record has a row for each arm and one for the box, which holds the worst of both arms. Columns `force_min` to
-`torque_step` speak of the last control period, the others of all time since reset.
+`torque_step` describe the last control period, the others the time since reset.
 """
 
 from __future__ import annotations
@@ -13,21 +13,22 @@ from numba import njit
 
 from impact_envs.dual_arm.plant import NORMAL
 
+# Columns of the values, in the order of `schema.GRASP_SIGNALS`.
 FORCE_MIN, FORCE_MAX, TORQUE, TORQUE_STEP, SLIP, LAG, INTERIM, LIMIT_TIME = range(8)
-COUNT, FIRST, HELD, GRASP = 0, 1, 3, 4  # places in the marks; FIRST has one place for each arm
-GRASP_FORCE = 1.0  # that every pad corner must exceed [N]
-GRASP_TIME = 0.015  # for so long, for the box to count as grasped [s]
-# Of the limit: a clipped command equals it but for rounding.
+COUNT, FIRST, HELD, GRASP = 0, 1, 3, 4  # elements of the marks; FIRST has one for each arm
+# The box is grasped when every pad corner has pressed harder than this [N] for this long [s].
+GRASP_FORCE, GRASP_TIME = 1.0, 0.015
+# Share of the limit: a clipped command equals the limit up to rounding.
 AT_LIMIT = 1.0 - 1e-9
 
 
-class Record(NamedTuple):
-    """Hold the record of an episode so far.
+class GraspRecord(NamedTuple):
+    """The record of an episode so far.
 
     Attributes:
-        values: shape (3, 8), columns in the order of `schema.RECORD`.
-        marks: ticks so far, tick of each pad's first touch (-1 before), ticks in a row of full contact, tick at which
-            the box was grasped (-1 before), shape (5,).
+        values: shape (3, 8), columns in the order of `schema.GRASP_SIGNALS`.
+        marks: number of ticks, tick of each pad's first touch (-1 before), consecutive ticks of full contact, tick at
+            which the box was grasped (-1 before), shape (5,).
         slips: of the pad corners when the box was grasped, shape (4,) [m].
         torques: of the last tick, shape (2, 3) [N m].
     """
@@ -38,30 +39,30 @@ class Record(NamedTuple):
     torques: np.ndarray
 
 
-def make_record() -> Record:
-    """Make the record of an episode that has not begun."""
-    return Record(np.zeros((3, 8)), np.array([0, -1, -1, 0, -1]), np.zeros(4), np.zeros((2, 3)))
+def make_grasp_record() -> GraspRecord:
+    """Return the record of an episode that has not begun."""
+    return GraspRecord(np.zeros((3, 8)), np.array([0, -1, -1, 0, -1]), np.zeros(4), np.zeros((2, 3)))
 
 
-def begin_period(record: Record) -> None:
-    """Forget the last control period; at least one tick has to follow."""
+def begin_period(record: GraspRecord) -> None:
+    """Clear what describes the last control period; at least one tick must follow."""
     record.values[:, FORCE_MIN] = np.inf
     record.values[:, FORCE_MAX : TORQUE_STEP + 1] = 0.0
 
 
 @njit(cache=True)
 def add_tick(
-    record: Record, contacts: np.ndarray, sums: np.ndarray, tau: np.ndarray, limits: np.ndarray, tick: float
+    record: GraspRecord, contacts: np.ndarray, sums: np.ndarray, tau: np.ndarray, limits: np.ndarray, tick: float
 ) -> None:
     """Add a tick to the record.
 
     Args:
         record: changed.
-        contacts: at the end of the tick, as `plant` has them, shape (6, 5).
+        contacts: at the end of the tick, see `plant`, shape (6, 5).
         sums: slip and normal impulse of the pad corners since reset, shape (4, 2) [m, N s].
         tau: commanded torques of the tick, shape (2, 3) [N m].
         limits: of the torques, shape (2, 3) [N m].
-        tick: its length [s].
+        tick: length of the tick [s].
     """
     values, marks, _, last = record
     box = values[2]
@@ -90,19 +91,19 @@ def add_tick(
         box[FORCE_MIN] = min(box[FORCE_MIN], row[FORCE_MIN])
     if at_limit:
         box[LIMIT_TIME] += tick
-    follow_grasp(record, contacts, sums, tick)
+    update_grasp(record, contacts, sums, tick)
     marks[COUNT] += 1
 
 
 @njit(cache=True)
-def follow_grasp(record: Record, contacts: np.ndarray, sums: np.ndarray, tick: float) -> None:
-    """Write how far apart the impacts are, how long contact took to become full, and the slip since then.
+def update_grasp(record: GraspRecord, contacts: np.ndarray, sums: np.ndarray, tick: float) -> None:
+    """Update the time between the impacts, the time until full contact, and the slip since then.
 
     Args:
         record: changed.
         contacts: at the end of the tick, shape (6, 5).
         sums: slip and normal impulse of the pad corners since reset, shape (4, 2) [m, N s].
-        tick: its length [s].
+        tick: length of the tick [s].
     """
     values, marks, slips, _ = record
     count = marks[COUNT]

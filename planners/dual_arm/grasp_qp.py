@@ -7,89 +7,76 @@ import math
 import numpy as np
 from numba import njit
 
-from planners.dual_arm.programs import (
+from planners.dual_arm.reference import PostField, compute_post_reference
+from planners.dual_arm.terms import Terms, compute_terms, estimate_box
+from planners.dual_arm.torque_qp import (
     BOX,
-    FRICTION,
-    GRAVITY,
-    GRIP,
-    HALF_HEIGHT,
-    INERTIA,
-    KP_POST,
-    KTH_POST,
-    MASS,
     NORMAL,
     QDD,
     TANGENTIAL,
-    W_NORMAL,
-    W_SHARE,
-    WP_POST,
-    WTH_POST,
-    Program,
+    Gains,
+    TorqueQP,
     clear_cost,
     write_arm_motion,
 )
-from planners.dual_arm.reference import PostField, compute_post_reference
-from planners.dual_arm.terms import Terms, compute_terms, estimate_box
 
 
 @njit(cache=True)
-def build_post(program: Program, terms: Terms, field: PostField, gains: np.ndarray, box: np.ndarray) -> None:
-    """Build the post-impact program: move the box along its velocity field, hold it by four rigid contacts.
+def build_post(qp: TorqueQP, terms: Terms, field: PostField, gains: Gains, box: np.ndarray) -> None:
+    """Build the post-impact program: move the box along its velocity field, held by four rigid contacts.
 
     min w_p |p_b'' - a_ref - k_p (v_ref - p_b')|^2 + w_theta (...)^2 + w_share ((l_1 - l_2)^2 + (l_3 - l_4)^2)
     + w_n |lambda_N - grip|^2, subject to the motion of arms and box, gamma_k'' = 0, sigma_1'' = sigma_3'' = 0 and
     |lambda_T| <= mu lambda_N.
 
     Args:
-        program: written, shape GRASP.
+        qp: written, of size GRASP.
         terms: of both arms at the measured state.
         field: the reference.
-        gains: shape (23,).
         box: its estimated state, shape (6,).
 
     Source: van Steen et al., Eqs. 42 to 50; Eq. 44 with the exact second derivative of the gap.
     """
-    clear_cost(program)
-    write_arm_motion(program, terms)
+    clear_cost(qp)
+    write_arm_motion(qp, terms)
     vx, vy, w, ax, ay, turn = compute_post_reference(field, box[0], box[1], box[2])
     for r in range(3):
         velocity, acceleration = (vx, ax) if r == 0 else ((vy, ay) if r == 1 else (w, turn))
-        weight, gain = (gains[WP_POST], gains[KP_POST]) if r < 2 else (gains[WTH_POST], gains[KTH_POST])
-        program.H[BOX + r, BOX + r] += 2.0 * weight
-        program.f[BOX + r] -= 2.0 * weight * (acceleration + gain * (velocity - box[3 + r]))
-        program.A[6 + r, BOX + r] = gains[MASS] if r < 2 else gains[INERTIA]
-        program.lower[12 + r] = program.upper[12 + r] = -gains[MASS] * gains[GRAVITY] if r == 1 else 0.0
+        weight, gain = (gains.w_p_post, gains.k_p_post) if r < 2 else (gains.w_theta_post, gains.k_theta_post)
+        qp.H[BOX + r, BOX + r] += 2.0 * weight
+        qp.f[BOX + r] -= 2.0 * weight * (acceleration + gain * (velocity - box[3 + r]))
+        qp.A[6 + r, BOX + r] = gains.mass if r < 2 else gains.inertia
+        qp.lower[12 + r] = qp.upper[12 + r] = -gains.mass * gains.gravity if r == 1 else 0.0
     for k in range(4):
-        program.H[NORMAL + k, NORMAL + k] += 2.0 * (gains[W_NORMAL] + gains[W_SHARE])
-        program.H[NORMAL + k, NORMAL + (k ^ 1)] -= 2.0 * gains[W_SHARE]
-        program.f[NORMAL + k] -= 2.0 * gains[W_NORMAL] * gains[GRIP]
-        write_contact(program, terms, gains, box, k)
+        qp.H[NORMAL + k, NORMAL + k] += 2.0 * (gains.w_normal + gains.w_share)
+        qp.H[NORMAL + k, NORMAL + (k ^ 1)] -= 2.0 * gains.w_share
+        qp.f[NORMAL + k] -= 2.0 * gains.w_normal * gains.grip
+        write_contact(qp, terms, gains, box, k)
 
 
 @njit(cache=True)
-def write_contact(program: Program, terms: Terms, gains: np.ndarray, box: np.ndarray, k: int) -> None:
-    """Write contact k: its forces in the motion of arm and box, its vanishing acceleration, its friction cone.
+def write_contact(qp: TorqueQP, terms: Terms, gains: Gains, box: np.ndarray, k: int) -> None:
+    """Write contact k: its forces in the motion of arm and box, no relative acceleration, its friction cone.
 
     With r = R' (c - p_b): r'' = R' (c'' - p_b'' - omega' S r - 2 omega S (c' - p_b') - omega^2 r), and the gap
     gamma'' = -side r_x'', the slip sigma'' = r_y''. Forces on the arm are J_N' lambda_N -
     J_T' lambda_T, so that friction dissipates.
 
     Args:
-        program: written.
+        qp: written.
         terms: of both arms.
-        gains: shape (23,).
         box: its estimated state, shape (6,).
         k: pad corner, 0 to 3.
     """
     i = k // 2
     side = 1.0 - 2.0 * i
-    half = gains[HALF_HEIGHT] * (1.0 - 2.0 * (k % 2))
+    half = gains.half_height * (1.0 - 2.0 * (k % 2))
     c, d = math.cos(box[2]), math.sin(box[2])
     heading, w, spin = terms.pose[i, 2], box[5], terms.twist[i, 2]
     lx, ly = -half * math.sin(heading), half * math.cos(heading)
     rx, ry = terms.pose[i, 0] + lx - box[0], terms.pose[i, 1] + ly - box[1]
     ux, uy = terms.twist[i, 0] - spin * ly - box[3], terms.twist[i, 1] + spin * lx - box[4]
-    # what is left of c'' - p_b'' - omega' S r - ... when all accelerations are zero
+    # the part of c'' - p_b'' - omega' S r - ... that comes from velocities alone
     gx = terms.drift[i, 0] - spin * spin * lx + 2.0 * w * uy - w * w * rx
     gy = terms.drift[i, 1] - spin * spin * ly - 2.0 * w * ux - w * w * ry
     for row in range(2):
@@ -99,25 +86,25 @@ def write_contact(program: Program, terms: Terms, gains: np.ndarray, box: np.nda
         target = 9 + k if row == 0 else (13 + i if k % 2 == 0 else -1)
         for a in range(3):
             J = nx * (terms.J[i, 0, a] - ly) + ny * (terms.J[i, 1, a] + lx)
-            program.A[3 * i + a, column] = -sign * J
+            qp.A[3 * i + a, column] = -sign * J
             if target >= 0:
-                program.A[target, QDD + 3 * i + a] = J
+                qp.A[target, QDD + 3 * i + a] = J
         lever = nx * -ry + ny * rx
-        program.A[6, column], program.A[7, column], program.A[8, column] = sign * nx, sign * ny, sign * lever
+        qp.A[6, column], qp.A[7, column], qp.A[8, column] = sign * nx, sign * ny, sign * lever
         if target >= 0:
-            program.A[target, BOX], program.A[target, BOX + 1], program.A[target, BOX + 2] = -nx, -ny, -lever
-            program.lower[6 + target] = program.upper[6 + target] = -(nx * gx + ny * gy)
+            qp.A[target, BOX], qp.A[target, BOX + 1], qp.A[target, BOX + 2] = -nx, -ny, -lever
+            qp.lower[6 + target] = qp.upper[6 + target] = -(nx * gx + ny * gy)
     for row in range(2):
-        program.A[15 + 2 * k + row, NORMAL + k] = gains[FRICTION]
-        program.A[15 + 2 * k + row, TANGENTIAL + k] = 1.0 - 2.0 * row
+        qp.A[15 + 2 * k + row, NORMAL + k] = gains.friction
+        qp.A[15 + 2 * k + row, TANGENTIAL + k] = 1.0 - 2.0 * row
 
 
 @njit(cache=True)
 def assemble_post(
-    program: Program,
+    qp: TorqueQP,
     terms: Terms,
     field: PostField,
-    gains: np.ndarray,
+    gains: Gains,
     arms: np.ndarray,
     q: np.ndarray,
     v: np.ndarray,
@@ -126,11 +113,11 @@ def assemble_post(
     """Compute the terms, estimate the box and build the post-impact program.
 
     Args:
-        program, terms: written.
+        qp, terms: written.
         field, gains: see `build_post`.
         arms, q, v: see `compute_terms`.
         box: its estimated state, written, shape (6,).
     """
     compute_terms(arms, q, v, terms)
     estimate_box(terms, box)
-    build_post(program, terms, field, gains, box)
+    build_post(qp, terms, field, gains, box)

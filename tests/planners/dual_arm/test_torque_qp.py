@@ -8,24 +8,27 @@ import impact_envs
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.errors import InputError
 from planners.dual_arm.dense_qp import get_solver, relax_contacts, solve_clarabel
-from planners.dual_arm.grasp_program import assemble_post
-from planners.dual_arm.programs import FREE, GRASP, Program, assemble_ante, assemble_interim, make_program
+from planners.dual_arm.grasp_qp import assemble_post
+from planners.dual_arm.options import EXPERT
 from planners.dual_arm.reference import PostField, compute_ante_velocity
-from planners.dual_arm.reference_spreading import Settings, make_ante_field, make_gains
+from planners.dual_arm.reference_spreading import make_ante_field, make_gains
 from planners.dual_arm.terms import compute_terms, estimate_box, make_terms
+from planners.dual_arm.torque_qp import FREE, GRASP, TorqueQP, assemble_ante, assemble_interim, make_torque_qp
 from planners.errors import Infeasible
 
 PATH = Path(impact_envs.__file__).parent / "dual_arm" / "scenarios" / "dual_arm_grasp.toml"
 SCENARIO = DualArmScenario.model_validate(tomllib.loads(PATH.read_text()))
-SETTINGS = Settings()
-ARMS, GAINS = SCENARIO.arm_numbers(), make_gains(SCENARIO, SETTINGS)
+ARMS, GAINS = SCENARIO.arm_numbers(), make_gains(SCENARIO, EXPERT.controller)
 LIMITS = np.array([SCENARIO.links.torque_limits] * 2)
-FIELD = make_ante_field(SCENARIO, SETTINGS)
+FIELD = make_ante_field(SCENARIO, EXPERT.controller)
 POST = PostField(
     np.array([0.0, 0.3, 0.0]),
     np.array([0.0, 0.24, 0.0]),
     SCENARIO.target.array,
-    np.array([4.0, 4.0, 0.25, 1.0]),
+    kappa=4.0,
+    kappa_theta=4.0,
+    r_max=0.25,
+    blend=True,
 )
 
 
@@ -34,29 +37,29 @@ def near_impact(rng: np.random.Generator, spread: float) -> tuple[np.ndarray, np
     return SCENARIO.joint_angles(poses), spread * rng.normal(0.0, 5.0, (2, 3))
 
 
-def ante(q: np.ndarray, v: np.ndarray) -> Program:
-    program = make_program(FREE, LIMITS)
+def ante(q: np.ndarray, v: np.ndarray) -> TorqueQP:
+    program = make_torque_qp(FREE, LIMITS)
     assemble_ante(program, make_terms(), FIELD, GAINS, ARMS, q, v, 1.0)
     return program
 
 
-def post(q: np.ndarray, v: np.ndarray) -> Program:
-    program = make_program(GRASP, LIMITS)
+def post(q: np.ndarray, v: np.ndarray) -> TorqueQP:
+    program = make_torque_qp(GRASP, LIMITS)
     assemble_post(program, make_terms(), POST, GAINS, ARMS, q, v, np.zeros(6))
     return program
 
 
-def programs(seed: int) -> list[Program]:
+def programs(seed: int) -> list[TorqueQP]:
     rng = np.random.default_rng(seed)
     states = [near_impact(rng, 0.02) for _ in range(10)]
-    interim = make_program(FREE, LIMITS)
+    interim = make_torque_qp(FREE, LIMITS)
     q, v = states[0]
     integrated = SCENARIO.contact_poses(SCENARIO.box.start.array)
     assemble_interim(interim, make_terms(), FIELD, GAINS, ARMS, q, v, integrated, 10.0, 1e-3)
     return [ante(q, v) for q, v in states] + [interim] + [post(q, v) for q, v in states]
 
 
-def solution_error(program: Program, x: np.ndarray) -> float:
+def solution_error(program: TorqueQP, x: np.ndarray) -> float:
     """Return how far a point is from the Karush-Kuhn-Tucker conditions, by its own active set."""
     rows = np.vstack([np.eye(6, len(x)), program.A])
     values = rows @ x
@@ -71,7 +74,6 @@ def solution_error(program: Program, x: np.ndarray) -> float:
 
 
 def test_solutions_agree_with_a_second_solver():
-    pytest.importorskip("daqp", reason="DAQP is not installed")
     solve = get_solver("daqp")
     for program in programs(0):
         x = solve(program)
@@ -102,7 +104,7 @@ def test_the_interim_phase_begins_where_the_ante_phase_ended():
     v = np.array(
         [np.linalg.solve(terms.J[i], [*compute_ante_velocity(FIELD, i, *poses[i, :2]), 0.0]) for i in range(2)]
     )
-    interim = make_program(FREE, LIMITS)
+    interim = make_torque_qp(FREE, LIMITS)
     assemble_interim(interim, make_terms(), FIELD, GAINS, ARMS, q, v, poses.copy(), 0.0, 1e-3)
     solve = get_solver()
     assert solve(interim)[:6] == pytest.approx(solve(ante(q, v))[:6], abs=1e-4)
@@ -116,9 +118,9 @@ def test_a_mirrored_state_gets_mirrored_torques():
     seen[:, 0] += np.pi
     solve = get_solver()
     centred = POST._replace(target=np.array([0.0, 0.6, 0.0]))
-    for shape, build, field in ((FREE, assemble_ante, FIELD), (GRASP, assemble_post, centred)):
-        one, other = make_program(shape, LIMITS), make_program(shape, LIMITS)
-        extra = 1.0 if shape is FREE else np.zeros(6)
+    for size, build, field in ((FREE, assemble_ante, FIELD), (GRASP, assemble_post, centred)):
+        one, other = make_torque_qp(size, LIMITS), make_torque_qp(size, LIMITS)
+        extra = 1.0 if size is FREE else np.zeros(6)
         build(one, make_terms(), field, GAINS, ARMS, q, v, extra)
         build(other, make_terms(), field, GAINS, ARMS, seen, seen_v, extra)
         assert solve(other)[:6].reshape(2, 3) == pytest.approx(-solve(one)[:6].reshape(2, 3)[::-1], abs=1e-5)
@@ -158,7 +160,7 @@ def test_the_slack_form_solves_what_has_no_solution():
     solve = get_solver()
     with pytest.raises(Infeasible):
         solve(program)
-    x = solve(relax_contacts(program))
+    x = solve(relax_contacts(program, EXPERT.controller.w_slack))
     assert np.all(np.abs(x[:6]) <= 5.0 + 1e-6)
     assert program.A[:9] @ x == pytest.approx(program.upper[6:15], abs=1e-5)
 
@@ -166,7 +168,7 @@ def test_the_slack_form_solves_what_has_no_solution():
 def test_the_slack_form_changes_nothing_where_contacts_can_hold():
     q, v = near_impact(np.random.default_rng(4), 0.002)
     program, solve = post(q, v), get_solver()
-    heavy = relax_contacts(program)
+    heavy = relax_contacts(program, EXPERT.controller.w_slack)
     rows = program.A[9:15] @ solve(heavy) - program.upper[15:21]
     assert np.abs(rows).max() < 0.5
 

@@ -1,0 +1,113 @@
+"""Options of the floating manipulator's expert: every number that somebody chose, and the variants to compare with."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from planners.options import replace_options, select_options
+
+
+class RegulatorOptions(NamedTuple):
+    """The OSDRE before the first impact and after the safety pause.
+
+    Attributes:
+        coefficients: form of the state-dependent coefficients. "absolute_output" reproduces the paper's numbers; its A
+            depends on where the world's origin is. "printed" is the paper's formula.
+        state_weights: diagonal of Q, for the tip's position (2) and velocity (2); Nekoo et al., Sec. 4.1.
+        effort_before, effort_after: r in R = r 1, before the first impact and after the pause; Nekoo et al., Sec. 4.1.
+        measured_base: use the measured rates of the base instead of those that follow from its momenta.
+    """
+
+    coefficients: str = "absolute_output"
+    state_weights: tuple[float, float, float, float] = (1.0, 1.0, 0.5, 0.5)
+    effort_before: float = 1.0
+    effort_after: float = 0.1
+    measured_base: bool = False
+
+
+class CompensationOptions(NamedTuple):
+    """What is added to the OSDRE after the pause, see `compensation`.
+
+    Attributes:
+        joint_damping: of joint motion that does not move the tip; the best of 0.25 to 2 on tuning seeds [N m s/rad].
+        damped_authority: below this singular value of B its generalised inverse is damped, because torques would grow
+            without bound [1/kg/m].
+        clearance: distance to keep between tip and box [m].
+        approach_rate: how fast the tip may approach that distance [1/s].
+    """
+
+    joint_damping: float = 0.5
+    damped_authority: float = 1e-2
+    clearance: float = 0.02
+    approach_rate: float = 2.0
+
+
+class RecoveryOptions(NamedTuple):
+    """The safety pause: PD control of base and joints, and pulses of the thrusters.
+
+    Attributes:
+        thruster_gain, wheel_gain, joint_gain: proportional gains [N/m], [N m/rad], [N m/rad]; Nekoo et al., Sec. 4.4.
+        damping: derivative over proportional gains [s]; Nekoo et al., Sec. 4.4.
+        momentum_time: time at the end of the pause, after the last pulse, over which measured momenta are averaged, so
+            that one noisy measurement is not used to the end of the episode [s].
+        pulse_samples: desired forces that are averaged to start a pulse; one noisy force starts none [control periods].
+        pulse_rest: pause after a pulse, so that its effect is measured before the next; above `pulse_samples` by the
+            delay of the measurements [control periods].
+    """
+
+    thruster_gain: float = 50.0
+    wheel_gain: float = 200.0
+    joint_gain: float = 150.0
+    damping: float = 0.75
+    momentum_time: float = 0.5
+    pulse_samples: int = 4
+    pulse_rest: int = 6
+
+
+class CorrectionOptions(NamedTuple):
+    """When a learner may correct the OSDRE, and how much.
+
+    Attributes:
+        period: between corrections [s].
+        goal_distance: no correction when the tip is nearer to its goal: there the task is to hold it [m].
+        torque_share: torque at correction 1, relative to the stall torque.
+        log_range: logarithm of the factor on the weights at correction 1.
+    """
+
+    period: float = 3.0
+    goal_distance: float = 0.1
+    torque_share: float = 0.05
+    log_range: float = 2.0
+
+
+class Options(NamedTuple):
+    """All options of the expert.
+
+    Attributes:
+        compensated: add the compensation where the base is actuated; otherwise the paper's law everywhere.
+        regulator, compensation, recovery, correction: of its parts.
+    """
+
+    compensated: bool = True
+    regulator: RegulatorOptions = RegulatorOptions()
+    compensation: CompensationOptions = CompensationOptions()
+    recovery: RecoveryOptions = RecoveryOptions()
+    correction: CorrectionOptions = CorrectionOptions()
+
+
+EXPERT = Options()
+PAPER = EXPERT._replace(compensated=False)
+VARIANTS = {
+    "published": PAPER,
+    "printed": replace_options(PAPER, {"regulator.coefficients": "printed"}),
+    "measured_base": replace_options(PAPER, {"regulator.measured_base": True}),
+}
+
+
+def get_options(variant: str | None) -> Options:
+    """Return the options of a variant, by default those of the expert itself.
+
+    Raises:
+        InputError: unknown variant.
+    """
+    return select_options(variant, VARIANTS, EXPERT)
