@@ -356,11 +356,15 @@ class FloatingManipulatorScenario(Scenario):
         """Return the distance between tip and box at the start, negative in overlap [m]."""
         chain, n, rest = self.chain(), len(self.links), np.zeros(len(self.start))
         w, rates = np.zeros((n + 1, 2)), np.zeros(n + 1)
-        compute_directions(chain, self.start, rest, w, rates)
-        tip = compute_point(self.start, rest, w, rates, chain.levers[-1])
+        # Uncompiled: loading compiled code takes longer than reading all scenarios.
+        directions, point, contact = (
+            getattr(function, "py_func", function) for function in (compute_directions, compute_point, compute_contact)
+        )
+        directions(chain, self.start, rest, w, rates)
+        tip = point(self.start, rest, w, rates, chain.levers[-1])
         (length, width), (x, y) = self.box.size, self.box.start
         box = (x, y, self.box.heading, 0.0, 0.0, 0.0)
-        return compute_contact(tip, self.load.radius, box, length / 2, width / 2).gap
+        return float(contact(tip, self.load.radius, box, length / 2, width / 2).gap)
 
     def _box_room(self) -> float:
         """Return how far a point of the box can lie from where the file has it [m]."""
