@@ -67,7 +67,7 @@ class FlightRecord:
         if env.steps == 0:
             self._clear()
         elif self._expert:
-            self._add_step(self._expert)
+            self._add_step(self._expert, self.scenario)
 
     @property
     def courses(self) -> dict[str, np.ndarray]:
@@ -81,9 +81,9 @@ class FlightRecord:
         self._counts = np.zeros(len(COUNTERS), np.int64)
         self._courses: dict[str, list[tuple[float, ...]]] = {}
 
-    def _add_step(self, expert: FreeFlyerExpert) -> None:
+    def _add_step(self, expert: FreeFlyerExpert, scenario: FreeFlyerScenario) -> None:
         table, memory = expert.table, expert.memory
-        now, robots = float(memory.time[0]), list(self.scenario.robots)
+        now, robots = float(memory.time[0]), list(scenario.robots)
         grown = memory.counts[0] - self._counts
         self._counts = memory.counts[0].copy()
         self.events += [(now, name) for name, n in zip(COUNTERS, grown, strict=True) for _ in range(n)]
@@ -93,7 +93,7 @@ class FlightRecord:
             course = memory.course[0, r]
             if course[SINCE] == now < course[UNTIL]:
                 self.replans.append((now, name))
-        for o, (name, strike) in enumerate(zip(self.scenario.objects, memory.strike[0], strict=True)):
+        for o, (name, strike) in enumerate(zip(scenario.objects, memory.strike[0], strict=True)):
             if strike[REPLANNED] != now:
                 continue
             times = np.linspace(now, strike[TIME], WAY)
