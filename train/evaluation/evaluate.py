@@ -31,11 +31,8 @@ from train.evaluation.case import (
 )
 from train.evaluation.journal import Journal, digest, row_key, write_json
 from train.evaluation.metrics import compare_metrics, summarize
-from train.evaluation.player import Job, checkpoint_directory, make_policy, play
-from train.evaluation.replay import episode_to_dict
+from train.evaluation.player import Job, checkpoint_directory, play
 from train.evaluation.statistics import compare
-
-__all__ = ["EVALUATION_SEEDS", "EvaluationResult", "episode_to_dict", "evaluate", "make_policy"]
 
 
 @dataclass(frozen=True)

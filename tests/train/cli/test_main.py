@@ -3,11 +3,13 @@
 import json
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from impact_envs import list_scenarios
+from train.arguments import Args
 from train.cli.main import main
 
 
@@ -58,6 +60,34 @@ def test_run_takes_values_and_suites(capsys):
     assert result(capsys, "run", "throw_and_catch", "--policy", "random", "--suite", "all")["suite"] == "all"
 
 
+def test_set_reaches_world_and_expert_and_is_printed(capsys):
+    world, expert = "true.restitution=0.5", "expert.retime=false"
+    changed = result(capsys, "run", "throw_and_catch", "--set", world, expert)
+    assert changed["set"] == {"true.restitution": 0.5, "expert.retime": False}
+    plain = result(capsys, "run", "throw_and_catch", "--set", world)
+    assert changed["robustness"] != plain["robustness"]
+
+
+def test_help_and_list_import_no_learner_and_no_tables():
+    heavy = ("torch", "stable_baselines3", "pandas", "matplotlib", "scipy.stats", "highspy", "casadi", "cvxpy")
+    for arguments in (["list"], ["train", "--help"], ["--help"]):
+        code = (
+            "import sys\nfrom train.cli.main import main\n"
+            f"try:\n    main({arguments})\nexcept SystemExit:\n    pass\n"
+            f"print([name for name in {heavy} if name in sys.modules], file=sys.stderr)"
+        )
+        said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert said.stderr.strip() == "[]", arguments
+
+
+def test_train_takes_every_argument_of_its_script(capsys):
+    with pytest.raises(SystemExit):
+        main(("train", "--help"))
+    shown = capsys.readouterr().out
+    for field in fields(Args)[1:]:  # the scenario is positional
+        assert f"--{field.name.replace('_', '-')}" in shown
+
+
 @pytest.mark.slow
 def test_run_renders_a_film(capsys, tmp_path):
     film = tmp_path / "throw.gif"
@@ -95,6 +125,13 @@ BAD = {
     "negative seed": (("run", "corridor", "--seed", "-1"), ["seed -1"]),
     "set key": (("run", "corridor", "--set", "true.restitutoin=0.5"), ["restitutoin", "restitution"]),
     "set form": (("run", "corridor", "--set", "true.restitution"), ["KEY=VALUE"]),
+    "set option": (("run", "corridor", "--set", "expert.retmie=false"), ["expert.retmie", "did you mean 'retime'"]),
+    "set option kind": (("evaluate", "corridor", "--set", "expert.retime=3"), ["expert.retime", "3"]),
+    "set of no expert": (
+        ("run", "corridor", "--policy", "zero", "--set", "expert.retime=false"),
+        ["expert.retime", "zero"],
+    ),
+    "set option of arms": (("run", "dual_arm_grasp", "--set", "expert.retime=false"), ["dual_arm", "no options"]),
     "set value": (("run", "corridor", "--set", "true.restitution=1.5"), ["true.restitution", "1.5"]),
     "policy": (("run", "corridor", "--policy", "experte"), ["experte", "expert"]),
     "suite": (("evaluate", "corridor", "--suite", "mas"), ["mas", "mass"]),

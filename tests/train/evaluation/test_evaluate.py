@@ -21,8 +21,8 @@ from agents.actor import Actor, PolicyRecord, save_policy
 from impact_envs import InputError, Scenario, load_scenario, parallel_env, rollout
 from planners import make_plan
 from planners.free_flyer.expert import FreeFlyerExpert
-from train.evaluation.case import has_expert
-from train.evaluation.evaluate import EvaluationResult, evaluate
+from train.evaluation.case import has_expert, make_cases
+from train.evaluation.evaluate import EvaluationResult, evaluate, evaluate_cases
 from train.evaluation.player import make_policy
 from train.evaluation.replay import episode_to_dict
 
@@ -196,6 +196,22 @@ def test_rows_of_other_inputs_are_never_mixed_in(short: Scenario, tmp_path: Path
     heavier = short.override({"objects.pop.mass": 20.0})
     with pytest.raises(InputError, match="holds episodes of another 'throw_and_catch/nominal'"):
         evaluate([heavier], ("zero",), 1, out=tmp_path / "a", progress=False)
+
+
+def test_rows_of_other_settings_are_never_mixed_in(tmp_path: Path) -> None:
+    def play(settings: dict[str, Any]) -> EvaluationResult:
+        cases = make_cases(["throw_and_catch"], ["nominal"], settings)
+        return evaluate_cases(cases, ("expert", "zero"), 1, out=tmp_path, progress=False)
+
+    with pytest.raises(InputError, match=r"expert\.retmie is unknown; did you mean 'retime'"):
+        play({"expert.retmie": False})
+    assert not (tmp_path / "manifest.json").exists()
+    play({"expert.retime": False})
+    assert json.loads((tmp_path / "manifest.json").read_text())["set"] == {"expert.retime": False}
+    for other in ({}, {"expert.retime": True}, {"expert.retime": False, "objects.pop.mass": 20.0}):
+        with pytest.raises(InputError, match="holds episodes of another 'throw_and_catch/nominal'"):
+            play(other)
+    assert play({"expert.retime": False}).episodes_played == 0
 
 
 def test_one_plan_serves_all_seeds_and_suites_of_one_belief(monkeypatch: pytest.MonkeyPatch) -> None:
