@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -191,13 +191,20 @@ class ResidualPolicy:
         self.name, self.expert, self.actor = name, expert, actor
 
     @classmethod
-    def load(cls, directory: str | Path, scenario: str | Path | Scenario, plan: Plan | None = None) -> ResidualPolicy:
+    def load(
+        cls,
+        directory: str | Path,
+        scenario: str | Path | Scenario,
+        plan: Plan | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> ResidualPolicy:
         """Read a checkpoint and put it on the scenario's expert.
 
         Args:
             directory: folder with policy.safetensors and policy.json; nothing in it is executed.
             scenario: a shipped name, the path of a TOML file, or a Scenario; only its believed part is used.
             plan: plan for the expert to follow; made if not given.
+            options: of the expert, see planners.make_expert.
 
         Raises:
             InputError: the checkpoint is broken, or does not fit this scenario's expert.
@@ -213,7 +220,7 @@ class ResidualPolicy:
                 f"checkpoint '{directory}' is for domain '{record.domain}', "
                 f"scenario '{loaded.name}' has domain '{loaded.domain}'"
             )
-        expert: CorrectableExpert = make_expert(loaded, plan)
+        expert: CorrectableExpert = make_expert(loaded, plan, options=options)
         for key in ("feature_size", "correction_size"):
             trained, offered = getattr(record, key), getattr(expert, key)
             if trained != offered:

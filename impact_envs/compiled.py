@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import logging
 import re
+import sys
+import time
 from collections.abc import Callable
 from functools import cache, partial
 from hashlib import sha256
@@ -15,12 +17,14 @@ from types import FunctionType
 from typing import Any, TypeVar
 
 import numba
+from numba.core import event
 from numba.core.dispatcher import Dispatcher
 
 _log = logging.getLogger(__name__)
 ROOT = Path(__file__).parents[1]
 # Nothing is allocated, so arrays need no reference counts; counting them costs as much as all the rest.
 OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False, "nogil": True}
+BETWEEN_LINES = 10.0  # of the progress of a compilation in a log [s]
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -79,9 +83,74 @@ def is_compiled(function: Any) -> bool:
 
 @cache
 def announce(function: Any) -> None:
-    """Say, once, that the first call of a function will take long."""
+    """Show how far the compilation of a function is during its first call, if it will take long."""
     if not is_compiled(function):
-        _log.warning("compiling the engine for this machine: up to a minute, this once")
+        event.register("numba:compile", Compilation(function))
+
+
+class Compilation(event.Listener):
+    """Count what numba compiles for one function: a bar on a terminal, else lines in the log.
+
+    Args:
+        function: whose first call compiles all that it calls.
+    """
+
+    def __init__(self, function: Dispatcher) -> None:
+        self._function = function
+        self._waiting = {called for called in list_calls(function) if not is_compiled(called)}
+        self._total = len(self._waiting)
+        self._start = self._said = 0.0
+        self._bar: Any = None
+
+    def on_start(self, started: Any) -> None:
+        """Begin to show when the function itself is compiled."""
+        if started.data["dispatcher"] is not self._function or self._start:
+            return
+        self._start = self._said = time.perf_counter()
+        if sys.stderr.isatty():
+            self._bar = _make_bar()
+            self._bar.add_task("", total=self._total)
+            self._bar.start()
+        else:
+            _log.warning("compiling %d functions for this machine, this once: up to two minutes", self._total)
+
+    def on_end(self, ended: Any) -> None:
+        """Count a function; the outermost one is the last."""
+        self._waiting.discard(ended.data["dispatcher"])
+        if not self._start:
+            return
+        now, done = time.perf_counter(), self._total - len(self._waiting)
+        last = ended.data["dispatcher"] is self._function
+        if self._bar:
+            self._bar.update(self._bar.task_ids[0], completed=done)
+        elif last or now - self._said >= BETWEEN_LINES:
+            self._said = now
+            _log.warning("compiled %d of %d functions in %.0f s", done, self._total, now - self._start)
+        if last:
+            event.unregister("numba:compile", self)
+            if self._bar:
+                self._bar.stop()
+
+
+def _make_bar() -> Any:
+    # Here: most processes find all code on disk.
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("compiling for this machine, this once"), BarColumn(), MofNCompleteColumn())
+    return Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True)
+
+
+def list_calls(function: Dispatcher) -> set[Dispatcher]:
+    """Return a compiled function and all compiled functions that it calls, directly or not."""
+    found, todo = set[Dispatcher](), [function]
+    while todo:
+        dispatcher = todo.pop()
+        if dispatcher not in found:
+            found.add(dispatcher)
+            code, space = dispatcher.py_func.__code__, dispatcher.py_func.__globals__
+            todo += [space[name] for name in code.co_names if isinstance(space.get(name), Dispatcher)]
+    return found
 
 
 def retarget(function: Any, decorate: Callable[[FunctionType], Any]) -> Any:

@@ -21,6 +21,7 @@ __all__ = [
     "Infeasible",
     "PlanningError",
     "SolverFailed",
+    "check_options",
     "check_planned",
     "has_planner",
     "list_options",
@@ -145,6 +146,15 @@ def _choose(scenario: Scenario, variant: str | None, options: Mapping[str, Any] 
     if get_options is None:
         raise InputError(f"the expert of domain '{scenario.domain}' has no options, got {', '.join(options)}")
     return {"variant": variant, "options": replace_options(get_options(variant), options)}
+
+
+def check_options(scenario: Scenario, options: Mapping[str, Any], variant: str | None = None) -> None:
+    """Raise unless a scenario's expert has the options, and they fit.
+
+    Raises:
+        InputError: as make_expert.
+    """
+    _choose(scenario, variant, options)
 
 
 def list_options(scenario: Scenario, variant: str | None = None) -> dict[str, Any]:

@@ -1,1 +1,12 @@
-"""Runnable modules behind the ``impact`` command: training, evaluation, report."""
+"""What is run: training scripts, evaluation, report, and the ``impact`` command.
+
+A folder named as a domain says in its ``__init__`` what the domain brings here (see impact_envs.domain); it may lack
+any of:
+
+    RECORD          class that watches an episode: made of (scenario, policy); ``add(env)`` after reset and steps
+    FIGURES         (record, episode) -> what ``impact run`` prints besides the metrics
+    PICTURE         (record, episode, path): draw a whole episode into a file
+    PLAN_PICTURE    (scenario, plan, path): draw a plan into a file
+    METRICS         tuple of evaluation.metric.Metric: what an evaluation measures besides
+    LINKS           (scenario) -> what a replay needs to draw arms
+"""

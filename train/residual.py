@@ -2,8 +2,8 @@
 
 ``python -m train.residual --help`` lists every argument. What a run leaves in ``out``:
 
-    policy.safetensors, policy.json   the policy that was best on the tuning seeds; ``out`` is a checkpoint
-    directory checkpoints/<steps>/              the last two policies with all that is needed to resume
+    policy.safetensors, policy.json   the policy that was best on the tuning seeds, so ``out`` is a checkpoint
+    checkpoints/<steps>/              the last two policies, with all that is needed to resume
     args.json                         arguments, seed and versions
     tensorboard/                      learning curves
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 import shutil
 import signal
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, SupportsFloat, cast
@@ -40,58 +40,15 @@ from impact_envs.rollout import Policy, rollout
 from impact_envs.scenario import Scenario, load_scenario
 from planners import has_planner, make_expert, make_plan
 from planners.plan import Plan
-from train.metrics import compare_pairs, compute_wilson_interval
-from train.record import read_versions, write_json
+from train.arguments import Args
+from train.evaluation.journal import read_versions, write_json
+from train.evaluation.statistics import compare_pairs, compute_wilson_interval
 from train.watch import EpisodeLog, show_progress, stop_on_signals
 
 # Tuning seeds start here; evaluation seeds start at 2,000,000.
 TUNING_SEEDS = 1_000_000
 # Arguments that decide what a checkpoint means; a resumed run must have the same.
 FIXED = ("scenario", "suite", "algo", "seed", "n_envs", "hidden")
-
-
-@dataclass(frozen=True)
-class Args:
-    """Arguments of a training run."""
-
-    scenario: str = "throw_and_catch"
-    """Shipped name or path of a TOML file."""
-    suite: str = "restitution"
-    """Mismatch suite of the true world."""
-    algo: str = "ppo"
-    """Learning algorithm, see agents.sb3.ALGORITHMS."""
-    steps: int = 8192
-    """Corrections to answer in the whole run; a free-flyer asks for one per impact, the others periodically."""
-    out: Path = Path("runs/residual")
-    """Folder for checkpoints and logs."""
-    resume: bool = False
-    """Go on from the last checkpoint in out."""
-    seed: int = 0
-    """Of networks, exploration and episodes."""
-    n_envs: int = 2
-    """Environments that play at the same time."""
-    subprocesses: bool = True
-    """Give each environment a process of its own, if there are several."""
-    learning_rate: float = 5e-4
-    """Step size of Adam."""
-    hidden: tuple[int, ...] = (64, 64)
-    """Width of each hidden layer, for policy and value."""
-    log_std: float = -1.2
-    """Logarithm of the exploration's standard deviation at the start (-1.2: 0.3 of the range)."""
-    rollout: int = 256
-    """Corrections between two PPO updates, over all environments."""
-    batch: int = 64
-    """Corrections per gradient step."""
-    checkpoint_every: int = 1024
-    """Corrections between two checkpoints."""
-    eval_every: int = 2048
-    """Corrections between two evaluations on tuning seeds; 0: never."""
-    eval_episodes: int = 40
-    """Tuning seeds per evaluation."""
-    log: bool = True
-    """Write TensorBoard logs."""
-    progress: bool = True
-    """Show a bar on standard error."""
 
 
 def main(args: Args) -> dict[str, Any]:

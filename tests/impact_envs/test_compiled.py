@@ -3,7 +3,7 @@
 import logging
 
 from impact_envs import compiled as module
-from impact_envs.compiled import announce, compiled, inlined, is_compiled, retarget
+from impact_envs.compiled import announce, compiled, inlined, is_compiled, list_calls, retarget
 
 OFFSET = 3.0
 
@@ -54,18 +54,34 @@ def test_the_stamp_reaches_numba():
     assert len(stamp) == 32
 
 
-def test_compilation_is_announced_once(tmp_path, monkeypatch, caplog):
-    source = tmp_path / "fresh.py"
-    source.write_text("from impact_envs.compiled import compiled\n\n\n@compiled\ndef f(x):\n    return x + 1\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    from fresh import f
+FRESH = """
+from impact_envs.compiled import compiled
 
+
+@compiled
+def inner(x):
+    return 2 * x
+
+
+@compiled
+def outer(x):
+    return inner(x) + 1
+"""
+
+
+def test_compilation_is_announced_once_and_counted(tmp_path, monkeypatch, caplog):
+    (tmp_path / "fresh.py").write_text(FRESH)
+    monkeypatch.syspath_prepend(tmp_path)
+    from fresh import outer
+
+    assert not is_compiled(outer)
+    assert {function.__name__ for function in list_calls(outer)} == {"inner", "outer"}
     with caplog.at_level(logging.WARNING):
-        announce(f)
-        announce(f)
-    assert [record.message for record in caplog.records] == [
-        "compiling the engine for this machine: up to a minute, this once"
-    ]
-    assert not is_compiled(f)
-    assert f(1) == 2
-    assert is_compiled(f)
+        announce(outer)
+        announce(outer)
+        assert outer(1) == 3
+        assert outer(1.0) == 3.0
+    first, last = [record.message for record in caplog.records]
+    assert first.startswith("compiling 2 functions for this machine")
+    assert last.startswith("compiled 2 of 2 functions in ")
+    assert is_compiled(outer)

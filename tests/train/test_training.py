@@ -38,7 +38,7 @@ class Pusher:
     seeds: list[int]
     at_reset: Callable[[], None]
 
-    def __init__(self, scenario: Any, plan: Any = None) -> None:
+    def __init__(self, scenario: Any, plan: Any = None, options: Any = None) -> None:
         self._agents = scenario.agents
 
     def reset(self, seed: int) -> None:
@@ -246,7 +246,8 @@ def test_every_argument_is_a_documented_option(capsys: pytest.CaptureFixture[str
         tyro.cli(Args, args=["--help"])
     assert caught.value.code == 0
     shown = capsys.readouterr().out
-    for field in dataclasses.fields(Args):
+    _, *options = dataclasses.fields(Args)  # the scenario is positional
+    for field in options:
         assert f"--{field.name.replace('_', '-')}" in shown
     assert tyro.cli(Args, args=["--hidden", "4", "4", "--algo", "sac"]).hidden == (4, 4)
 

@@ -8,7 +8,7 @@ from agents.residual import ResidualEnv, ResidualPolicy
 from impact_envs import load_scenario, parallel_env, rollout
 from impact_envs.errors import InputError
 from planners import make_expert
-from train.play import make_policy
+from train.evaluation.player import make_policy
 
 NAME = "dual_arm_grasp"
 # Ends a quarter of a second after the grasp.

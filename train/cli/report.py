@@ -1,0 +1,24 @@
+"""The ``impact report`` command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tyro.conf import Positional
+
+
+@dataclass
+class Command:
+    """Write one self-contained HTML page from an evaluation."""
+
+    folder: Positional[Path]
+    """Folder that impact evaluate --out wrote."""
+    json: bool = False
+
+    def run(self) -> dict[str, Any]:
+        """Return the page's path."""
+        from train.report.page import write_report
+
+        return {"report": str(write_report(self.folder))}

@@ -1,0 +1,154 @@
+"""The ``impact run`` command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tyro.conf import Positional
+
+from impact_envs.domain import find_part
+from impact_envs.errors import InputError
+from impact_envs.scenario import Scenario
+from train.cli.plan import load_plan
+from train.cli.settings import parse_settings
+from train.evaluation.case import EVALUATION_SEEDS, check_settings, make_case
+from train.pictures.file import check_picture_path
+
+LEAST_FRAMES = 200  # of a film, so that a short episode is seen slowly
+
+
+@dataclass
+class Command:
+    """Run one episode."""
+
+    scenario: Positional[str]
+    """Shipped name or TOML file."""
+    policy: str = "expert"
+    """expert, zero, random, a variant of the expert, a shipped policy or a checkpoint folder."""
+    seed: int = EVALUATION_SEEDS
+    """Of the whole episode."""
+    suite: str = "nominal"
+    """Mismatch suite of the true world."""
+    set: tuple[str, ...] = ()
+    """Values to change, for example true.restitution=0.5 expert.NAME=VALUE."""
+    plan: Path | None = None
+    """Execute this plan instead of planning: a JSON file, or a folder of published CSV files."""
+    render: str | None = None
+    """human, or a file ending in .mp4, .gif or .png (the last frame)."""
+    plot: Path | None = None
+    """Draw the whole episode: a file ending in .png, .pdf or .svg."""
+    json: bool = False
+
+    def run(self) -> dict[str, Any]:
+        """Return what the episode came to."""
+        from impact_envs.env import parallel_env
+        from impact_envs.rollout import rollout
+        from train.evaluation.metrics import find_metrics, measure
+        from train.evaluation.player import make_policy
+
+        settings = parse_settings(self.set)
+        case = make_case(self.scenario, self.suite, settings)
+        scenario = case.scenario
+        check_settings(case, (self.policy,))
+        film = self._check(scenario)
+        policy = make_policy(self.policy, scenario, load_plan(self.plan, scenario), case.options)
+        record = self._make_record(scenario, policy)
+        env = parallel_env(scenario, render_mode="rgb_array" if film else self.render)
+        env.curves |= _sample_curves(policy)
+        spacing = min(0.1, scenario.horizon / LEAST_FRAMES)
+        every = scenario.steps if film and film.suffix == ".png" else max(1, round(spacing / scenario.control_period))
+
+        def watch(shown: Any) -> None:
+            if record:
+                record.add(shown)
+            if film and (shown.steps % every == 0 or not shown.agents):
+                film.add(shown.render())
+
+        episode = rollout(env, policy, self.seed, on_step=watch)
+        env.close()
+        if film:
+            film.close()
+        if self.plot:
+            find_part("train", scenario.domain, "PICTURE")(record, episode, self.plot)
+        figures = find_part("train", scenario.domain, "FIGURES")
+        return (
+            _summarize(episode, self.suite)
+            | {"set": settings}
+            | measure(find_metrics(scenario.domain), episode, scenario)
+            | (figures(record, episode) if figures else {})
+        )
+
+    def _check(self, scenario: Scenario) -> Any:
+        """Refuse what cannot be played or written before anything is played; returns the film, None without one."""
+        if self.seed < 0:
+            raise InputError(f"seed {self.seed} is negative; choices: 0, 1, 2, ...")
+        film = _open_film(self.render)
+        if self.plot:
+            check_picture_path(self.plot)
+            if find_part("train", scenario.domain, "PICTURE") is None:
+                raise InputError(f"--plot {self.plot}: domain '{scenario.domain}' draws no picture of an episode")
+        return film
+
+    def _make_record(self, scenario: Scenario, policy: Any) -> Any:
+        """Return what watches the episode, None where nobody asks it."""
+        make = find_part("train", scenario.domain, "RECORD")
+        asked = self.plot or find_part("train", scenario.domain, "FIGURES")
+        return make(scenario, policy) if make and asked else None
+
+
+def _open_film(render: str | None) -> Any:
+    """Return the film that --render asks for, None for a window or nothing."""
+    from impact_envs.render import SUFFIXES, Film
+
+    if render is None or render == "human":
+        return None
+    if Path(render).suffix.lower() not in SUFFIXES:
+        raise InputError(f"--render {render}: choices: human, a file ending in {', '.join(SUFFIXES)}")
+    return Film(render, fps=30)
+
+
+def _sample_curves(policy: Any) -> dict[str, Any]:
+    """Return the curves of the plan a policy follows, as polylines."""
+    import numpy as np
+
+    plan = getattr(getattr(policy, "expert", policy), "plan", None)
+    if plan is None:
+        return {}
+    times = np.linspace(0.0, plan.horizon, 400)
+    curves = plan.robots | plan.objects
+    return {name: np.array([curve.position(t) for t in times]) for name, curve in curves.items()}
+
+
+def _summarize(episode: Any, suite: str) -> dict[str, Any]:
+    import numpy as np
+
+    ms = episode.solve_seconds * 1e3
+    names = {"p50": 0.5, "p99": 0.99, "max": 1.0}
+    quantiles = {name: round(float(np.quantile(ms, q)), 4) for name, q in names.items()} if len(ms) else None
+    return {
+        "scenario": episode.scenario,
+        "suite": suite,
+        "policy": episode.policy,
+        "seed": episode.seed,
+        "robustness": episode.robustness,
+        "success": episode.success,
+        "impacts": [
+            {
+                "time": hit.time,
+                "a": hit.a,
+                "b": hit.b,
+                "point": [float(x) for x in hit.point],
+                "impulse": float(np.linalg.norm(hit.impulse)),
+                "speed": hit.speed,
+            }
+            for hit in episode.impacts
+        ],
+        "effort": episode.effort,
+        "solve_ms": quantiles,
+        "fallbacks": dict(episode.fallbacks),
+        "replans": episode.replans,
+        "reoptimised": dict(episode.reoptimised),
+        "wall_seconds": episode.wall_seconds,
+    }

@@ -1,0 +1,31 @@
+"""Values that the user changes: ``--set KEY=VALUE``."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable
+from typing import Any
+
+from impact_envs.errors import InputError
+
+
+def parse_settings(texts: Iterable[str]) -> dict[str, Any]:
+    """Return dotted names to values, written as in TOML; what is no TOML is text.
+
+    Args:
+        texts: such as ``true.restitution=0.5``.
+
+    Raises:
+        InputError: a text without a name or a value.
+    """
+    return dict(_parse_assignment(text) for text in texts)
+
+
+def _parse_assignment(text: str) -> tuple[str, Any]:
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise InputError(f"--set {text}: expected KEY=VALUE, for example true.restitution=0.5")
+    try:
+        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), value.strip()

@@ -1,0 +1,24 @@
+"""The ``impact train`` command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from tyro.conf import OmitArgPrefixes
+
+from train.arguments import Args
+
+
+@dataclass
+class Command:
+    """Train a residual on top of the expert."""
+
+    args: OmitArgPrefixes[Args] = field(default_factory=Args)
+    json: bool = False
+
+    def run(self) -> dict[str, Any]:
+        """Return steps, folder, time and the tuning evaluation."""
+        from train.residual import main
+
+        return main(self.args)

@@ -1,0 +1,1 @@
+"""Paired evaluation of policies: players, metrics, statistics, and the files it leaves."""

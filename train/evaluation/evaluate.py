@@ -1,0 +1,240 @@
+"""Paired evaluation: every policy on the same seeds of the same worlds, one tidy row per episode."""
+
+from __future__ import annotations
+
+import io
+import json
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from agents.checkpoint import write_atomically
+from impact_envs.errors import InputError
+from impact_envs.scenario import Scenario
+from planners import has_planner, list_variants, make_plan
+from planners.plan import Plan
+from train.evaluation.case import (
+    EVALUATION_SEEDS,
+    Case,
+    check_names,
+    check_settings,
+    has_expert,
+    is_built_in,
+    make_cases,
+)
+from train.evaluation.journal import Journal, digest, row_key, write_json
+from train.evaluation.metrics import compare_metrics, summarize
+from train.evaluation.player import Job, checkpoint_directory, play
+from train.evaluation.statistics import compare
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """What an evaluation found.
+
+    Attributes:
+        rows: aggregates per scenario, suite and policy, see metrics.summarize.
+        paired: paired differences, see statistics.compare and metrics.compare_metrics.
+        episodes: one row per episode, see metrics.make_row.
+        episodes_played: how many were played now; the rest came from the output directory.
+        wall_seconds: duration, planning included [s].
+        out: where the files are; None if nothing was written.
+    """
+
+    rows: list[dict[str, Any]]
+    paired: list[dict[str, Any]]
+    episodes: pd.DataFrame
+    episodes_played: int
+    wall_seconds: float
+    out: Path | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as one JSON object, without the single episodes."""
+        return {
+            "rows": self.rows,
+            "paired": self.paired,
+            "episodes_played": self.episodes_played,
+            "wall_seconds": round(self.wall_seconds, 3),
+            "episodes_per_second": round(self.episodes_played / max(self.wall_seconds, 1e-9), 3),
+            "out": str(self.out) if self.out else None,
+        }
+
+
+def evaluate(
+    scenarios: Sequence[str | Path | Scenario],
+    policies: Sequence[str] = ("expert", "zero"),
+    episodes: int = 20,
+    seed: int = EVALUATION_SEEDS,
+    suites: Sequence[str] = ("nominal",),
+    workers: int = 1,
+    out: str | Path | None = None,
+    progress: bool = True,
+) -> EvaluationResult:
+    """Play every policy on the same seeds and sum up what happened.
+
+    Rows do not depend on the number of workers, except for measured times. With ``out``, finished episodes
+    are kept: calling again with the same arguments plays only what is missing.
+
+    Args:
+        scenarios: shipped names, paths of TOML files, or Scenarios.
+        policies: names as player.make_policy takes them; in a pair the later one is compared with the earlier.
+        episodes: seeds per scenario, suite and policy.
+        seed: first seed; the others follow.
+        suites: mismatch suites of the true world.
+        workers: processes; 1 plays in this one.
+        out: folder for rows.parquet, summary.json, replays and the journal; default: nothing is written.
+        progress: show a bar on standard error.
+
+    Returns:
+        Aggregates, paired differences and rows.
+
+    Raises:
+        InputError: one line naming what is unknown or does not fit.
+        PlanningError: an expert found no plan.
+    """
+    return evaluate_cases(make_cases(scenarios, suites), policies, episodes, seed, workers, out, progress)
+
+
+def evaluate_cases(
+    cases: Sequence[Case],
+    policies: Sequence[str],
+    episodes: int = 20,
+    seed: int = EVALUATION_SEEDS,
+    workers: int = 1,
+    out: str | Path | None = None,
+    progress: bool = True,
+) -> EvaluationResult:
+    """Play every policy on the same seeds of the same cases; see evaluate.
+
+    Args:
+        cases: worlds to be judged in.
+        policies: names as player.make_policy takes them.
+        episodes: seeds per case and policy.
+        seed: first seed; the others follow.
+        workers: processes; 1 plays in this one.
+        out: folder for rows.parquet, summary.json, replays and the journal; default: nothing is written.
+        progress: show a bar on standard error.
+
+    Raises:
+        InputError: one line naming what is unknown or does not fit.
+        PlanningError: an expert found no plan.
+    """
+    start = time.perf_counter()
+    labels = [str(policy).rstrip("/") or str(policy) for policy in policies]
+    _check_request(cases, labels, episodes, seed, workers)
+    jobs = [
+        Job(case, label, number, replay=out is not None and number == seed)
+        for case in range(len(cases))
+        for label in labels
+        for number in range(seed, seed + episodes)
+    ]
+    journal = Journal(out, _digests(cases, labels)) if out is not None else None
+    rows = dict(journal.rows) if journal else {}
+    missing = [job for job in jobs if _key(cases, job) not in rows]
+    if journal:
+        journal.write_manifest(_describe(cases, labels, episodes, seed))
+    cases = _make_plans(cases, missing)
+    bar = (TextColumn("evaluating"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    # Closed, not left to the garbage collector: an interruption must reach the workers at once.
+    with (
+        Progress(*bar, console=Console(stderr=True), disable=not progress) as shown,
+        closing(play(cases, missing, workers)) as outcomes,
+    ):
+        for row, replay in shown.track(outcomes, total=len(missing)):
+            rows[row_key(row)] = row
+            if journal:
+                journal.append(row, replay)
+    table = pd.DataFrame([rows[_key(cases, job)] for job in jobs])
+    return _sum_up(table, cases, len(missing), start, journal)
+
+
+def _sum_up(
+    table: pd.DataFrame, cases: Sequence[Case], played: int, start: float, journal: Journal | None
+) -> EvaluationResult:
+    domains = {case.scenario.name: case.scenario.domain for case in cases}
+    pairs = [pair | compare_metrics(table, pair, domains[pair["scenario"]]) for pair in compare(table)]
+    folder = journal.directory if journal else None
+    rows, seconds = summarize(table, domains), time.perf_counter() - start
+    result = EvaluationResult(rows, pairs, table, played, seconds, folder)
+    if folder:
+        _write(folder, result)
+    return result
+
+
+def _check_request(cases: Sequence[Case], labels: Sequence[str], episodes: int, seed: int, workers: int) -> None:
+    check_names("policy", labels)
+    for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("workers", workers, 1)):
+        if value < least:
+            raise InputError(f"{name} {value} is too small; choices: {least}, {least + 1}, ...")
+    for label in labels:
+        for case in cases:
+            if not is_built_in(label, case.scenario):
+                _check_checkpoint(label, list_variants(case.scenario))
+    for case in cases:
+        check_settings(case, labels)
+
+
+def _check_checkpoint(label: str, variants: Sequence[str]) -> None:
+    # Imported here: an evaluation without checkpoints needs no torch.
+    from agents.actor import load_policy
+
+    load_policy(checkpoint_directory(label, variants))
+
+
+def _digests(cases: Sequence[Case], labels: Sequence[str]) -> dict[str, str]:
+    """Return what each input's content is told by, so that a journal is never continued with other inputs."""
+    digests = {}
+    for case in cases:
+        contents = [case.scenario.model_dump_json()]
+        if case.options:
+            contents.append(json.dumps(case.options, sort_keys=True, default=str))
+        digests[f"{case.scenario.name}/{case.suite}"] = digest(*(content.encode() for content in contents))
+    for label in labels:
+        if not all(is_built_in(label, case.scenario) for case in cases):
+            files = sorted(checkpoint_directory(label).glob("policy.*"))
+            digests[label] = digest(*(file.read_bytes() for file in files))
+    return digests
+
+
+def _describe(cases: Sequence[Case], labels: Sequence[str], episodes: int, seed: int) -> dict[str, Any]:
+    fields = ("name", "domain", "description", "formula", "horizon")
+    return {
+        "cases": [{key: getattr(case.scenario, key) for key in fields} | {"suite": case.suite} for case in cases],
+        "policies": list(labels),
+        "episodes": episodes,
+        "seed": seed,
+        "set": dict(cases[0].settings),
+    }
+
+
+def _key(cases: Sequence[Case], job: Job) -> tuple[str, str, str, int]:
+    case = cases[job.case]
+    return case.scenario.name, case.suite, job.policy, job.seed
+
+
+def _make_plans(cases: Sequence[Case], jobs: Iterable[Job]) -> list[Case]:
+    """Plan once per believed scenario, and not in the workers: a plan may depend on how busy they are."""
+    needed = {job.case for job in jobs if has_expert(job.policy) and has_planner(cases[job.case].scenario)}
+    plans: dict[str, Plan] = {}
+    planned = []
+    for place, case in enumerate(cases):
+        believed = case.scenario.as_believed()
+        key = believed.model_dump_json()
+        if place in needed and key not in plans:
+            plans[key] = make_plan(believed)
+        planned.append(replace(case, plan=plans.get(key)))
+    return planned
+
+
+def _write(folder: Path, result: EvaluationResult) -> None:
+    table = io.BytesIO()
+    result.episodes.to_parquet(table, index=False)
+    write_atomically(folder / "rows.parquet", table.getvalue())
+    write_json(folder / "summary.json", result.to_dict())

@@ -1,0 +1,1 @@
+"""What pictures of all domains share: colours and files."""

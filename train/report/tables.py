@@ -1,0 +1,157 @@
+"""The report's tables as HTML: results per policy, and paired differences with a picture of each interval."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from html import escape
+from itertools import groupby
+from typing import Any
+
+from train.evaluation.metric import UNKNOWN, Aggregate, signed, write_interval
+from train.evaluation.metrics import list_columns
+from train.evaluation.results import Difference, Group
+
+FOREST_WIDTH = 160  # [px]
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a policy is shown.
+
+    Args:
+        name: short name.
+        color: hexadecimal colour, for example "#0072b2".
+    """
+
+    name: str
+    color: str
+
+
+def write_results(rows: Iterable[Group], looks: Mapping[str, Look]) -> str:
+    """Write the table of results, one block per scenario and suite.
+
+    Args:
+        rows: aggregates in the order shown.
+        looks: policy label to its look.
+
+    Returns:
+        An HTML table.
+    """
+    heads = ("Policy", *(f"#{title}" if column.cell == "number" else title for title, column in list_columns()))
+    body = [
+        _block(scenario, suite, len(heads)) + "".join(_result(row, looks[row.policy]) for row in group)
+        for (scenario, suite), group in groupby(rows, key=lambda row: (row.scenario, row.suite))
+    ]
+    return _table("results-table", heads, body)
+
+
+def write_differences(differences: Iterable[Difference], looks: Mapping[str, Look]) -> str:
+    """Write the table of paired differences, one block per scenario and suite.
+
+    Args:
+        differences: in the order shown.
+        looks: policy label to its look.
+
+    Returns:
+        An HTML table, or a sentence where there is nothing to compare.
+    """
+    differences = list(differences)
+    if not differences:
+        return '<p class="empty">Only one policy was evaluated: there is nothing to compare.</p>'
+    heads = (
+        "Comparison",
+        "#Median [m]",
+        "95 % interval",
+        "Worse ← 0 → better",
+        "#Seeds better / same / worse",
+        "#Success",
+        "Reading",
+    )
+    reach = max(max(map(abs, (*d.ci, d.difference_median))) for d in differences) or 1.0
+    body = [
+        _block(scenario, suite, len(heads)) + "".join(_difference(d, looks, reach) for d in group)
+        for (scenario, suite), group in groupby(differences, key=lambda d: (d.scenario, d.suite))
+    ]
+    return _table("paired-table", heads, body)
+
+
+def _table(name: str, heads: Iterable[str], body: Iterable[str]) -> str:
+    """Write a table; a head that starts with '#' stands over numbers."""
+    cells = (f'<th class="number">{escape(h[1:])}</th>' if h[:1] == "#" else f"<th>{escape(h)}</th>" for h in heads)
+    return (
+        f'<div class="scroll"><table id="{name}"><thead><tr>{"".join(cells)}</tr></thead>'
+        f"<tbody>{''.join(body)}</tbody></table></div>"
+    )
+
+
+def _block(scenario: str, suite: str, width: int) -> str:
+    return f'<tr class="block"><th colspan="{width}">{escape(scenario)} <span>· {escape(suite)}</span></th></tr>'
+
+
+def _result(row: Group, look: Look) -> str:
+    values = row.model_dump()
+    cells = "".join(_cell(column, values, look.color) for _, column in list_columns())
+    return f'<tr data-policy="{escape(row.policy)}"><td>{_policy(row.policy, look)}</td>{cells}</tr>'
+
+
+def _cell(column: Aggregate, values: Mapping[str, Any], color: str) -> str:
+    """Write a cell, with a bar and a hint where the column has them."""
+    if values[column.key] is None:
+        return f'<td class="{column.cell}">{UNKNOWN}</td>'
+    hint = f' title="{escape(column.hint(values))}"' if column.hint else ""
+    bar = ""
+    if column.bar:
+        share, low, high = (100 * part for part in column.bar(values))
+        bar = (
+            f'<span class="bar"><i style="width:{share:.2f}%;background:{color}"></i>'
+            f'<s style="left:{low:.2f}%;width:{high - low:.2f}%"></s></span>'
+        )
+    return f'<td class="{column.cell}"{hint}>{bar}{escape(column.write(values))}</td>'
+
+
+def _difference(d: Difference, looks: Mapping[str, Look], reach: float) -> str:
+    a, b = looks[d.a], looks[d.b]
+    wins, ties = round(d.win_rate * d.episodes), round(d.tie_rate * d.episodes)
+    kind, reading = _read_difference(d, a.name, b.name)
+    return (
+        f'<tr data-pair="{escape(d.a)}|{escape(d.b)}"><td>{_policy(d.a, a)} − {_policy(d.b, b)}</td>'
+        f'<td class="number">{signed(d.difference_median)}</td>{_interval(d.ci)}'
+        f"<td>{_forest(d, a.color, reach)}</td>"
+        f'<td class="number">{wins} / {ties} / {d.episodes - wins - ties}</td>'
+        f'<td class="number">{100 * d.success_difference:+.0f} points</td>'
+        f'<td class="{kind}">{escape(reading)}</td></tr>'
+    )
+
+
+def _read_difference(d: Difference, a: str, b: str) -> tuple[str, str]:
+    if d.ci[0] > 0:
+        return "better", f"{a} better"
+    if d.ci[1] < 0:
+        return "worse", f"{a} worse"
+    return "same", "same on every seed" if d.tie_rate == 1 else "no difference shown"
+
+
+def _forest(d: Difference, color: str, reach: float) -> str:
+    """Draw an interval; signed square root, so that small differences stay visible beside large ones."""
+
+    def place(value: float) -> float:
+        return FOREST_WIDTH / 2 + (FOREST_WIDTH / 2 - 5) * math.copysign(math.sqrt(abs(value) / reach), value)
+
+    low, middle, high = (place(value) for value in (d.ci[0], d.difference_median, d.ci[1]))
+    return (
+        f'<svg class="forest" viewBox="0 0 {FOREST_WIDTH} 18" width="{FOREST_WIDTH}" height="18" aria-hidden="true">'
+        f'<line class="zero" x1="{FOREST_WIDTH / 2}" x2="{FOREST_WIDTH / 2}" y1="0" y2="18"/>'
+        f'<line class="range" x1="{low:.1f}" x2="{high:.1f}" y1="9" y2="9" stroke="{color}"/>'
+        f'<circle cx="{middle:.1f}" cy="9" r="4" fill="{color}"/></svg>'
+    )
+
+
+def _policy(label: str, look: Look) -> str:
+    swatch = f'<i class="swatch" style="background:{look.color}"></i>'
+    return f'<span class="policy" title="{escape(label)}">{swatch}{escape(look.name)}</span>'
+
+
+def _interval(ends: tuple[float, float]) -> str:
+    return f'<td class="interval">{write_interval(ends)}</td>'
