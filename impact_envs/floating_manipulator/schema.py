@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -356,15 +356,11 @@ class FloatingManipulatorScenario(Scenario):
         """Return the distance between tip and box at the start, negative in overlap [m]."""
         chain, n, rest = self.chain(), len(self.links), np.zeros(len(self.start))
         w, rates = np.zeros((n + 1, 2)), np.zeros(n + 1)
-        # Uncompiled: loading compiled code takes longer than reading all scenarios.
-        directions, point, contact = (
-            getattr(function, "py_func", function) for function in (compute_directions, compute_point, compute_contact)
-        )
-        directions(chain, self.start, rest, w, rates)
-        tip = point(self.start, rest, w, rates, chain.levers[-1])
+        _uncompiled(compute_directions)(chain, self.start, rest, w, rates)
+        tip = _uncompiled(compute_point)(self.start, rest, w, rates, chain.levers[-1])
         (length, width), (x, y) = self.box.size, self.box.start
         box = (x, y, self.box.heading, 0.0, 0.0, 0.0)
-        return float(contact(tip, self.load.radius, box, length / 2, width / 2).gap)
+        return float(_uncompiled(compute_contact)(tip, self.load.radius, box, length / 2, width / 2).gap)
 
     def _box_room(self) -> float:
         """Return how far a point of the box can lie from where the file has it [m]."""
@@ -373,3 +369,8 @@ class FloatingManipulatorScenario(Scenario):
         }
         x, y, turn = (max(map(abs, pair)) for pair in ranges.values())
         return math.hypot(x, y) + turn * math.hypot(*self.box.size) / 2
+
+
+def _uncompiled(function: Any) -> Any:
+    """Return the Python source of a compiled function: loading its code takes longer than reading all scenarios."""
+    return getattr(function, "py_func", function)
