@@ -55,19 +55,6 @@ class Repair:
     sweeps: int = 4
 
 
-@dataclass(frozen=True)
-class Rest:
-    """Hold what is left of a formula.
-
-    Args:
-        parts: conjuncts that are left, in time since now.
-        violated: conjuncts that the past has violated; an "always" that holds now stays among the parts all the same.
-    """
-
-    parts: tuple[Formula, ...]
-    violated: tuple[str, ...]
-
-
 def plan_rest(
     rest: FreeFlyerScenario,
     impacts: int | None = None,
@@ -122,7 +109,7 @@ def make_remaining_scenario(
     Raises:
         InputError: nothing remains, or the formula's rest cannot be said.
     """
-    parts = progress_formula(scenario, now, past, repair).parts
+    parts = progress_formula(scenario, now, past, repair)
     places = {name: np.array(positions[name], dtype=float) for name in scenario.bodies}
     speeds = {name: _read_velocity(scenario, name, velocities[name], repair) for name in scenario.bodies}
     for _ in range(repair.sweeps):
@@ -139,8 +126,12 @@ def make_remaining_scenario(
     return scenario.override(values)
 
 
-def progress_formula(scenario: FreeFlyerScenario, now: float, past: Past, repair: Repair = Repair()) -> Rest:
-    """Return what is left of a scenario's formula, conjunct by conjunct.
+def progress_formula(
+    scenario: FreeFlyerScenario, now: float, past: Past, repair: Repair = Repair()
+) -> tuple[Formula, ...]:
+    """Return what is left of a scenario's formula: its remaining conjuncts, in time since now.
+
+    A conjunct that the past has decided is left out, but for an "always" that holds now.
 
     Args:
         scenario: the whole task.
@@ -164,18 +155,14 @@ def progress_formula(scenario: FreeFlyerScenario, now: float, past: Past, repair
     }
     trace = Trace(signals, period, scenario.areas, scenario.bodies)
     left: list[Formula] = []
-    violated: list[str] = []
     for part in _list_conjuncts(scenario.specification.expand(scenario.bodies)):
         if isinstance(part, Always) and is_state(part.child):
-            found, missed = _progress_always(part, trace, now, repair)
+            found = _progress_always(part, trace, now, repair)
         else:
             found = progress(part, trace)
-            missed = found is False
         if isinstance(found, Formula):
             left.append(found)
-        if missed:
-            violated.append(str(part))
-    return Rest(tuple(left), tuple(violated))
+    return tuple(left)
 
 
 def _list_conjuncts(formula: Formula) -> Iterator[Formula]:
@@ -190,17 +177,16 @@ def _list_conjuncts(formula: Formula) -> Iterator[Formula]:
         yield formula
 
 
-def _progress_always(part: Always, trace: Trace, now: float, repair: Repair) -> tuple[Formula | bool, bool]:
-    """Return what is left of an "always", and whether the past violated it; one that holds now is kept all the same."""
+def _progress_always(part: Always, trace: Trace, now: float, repair: Repair) -> Formula | bool:
+    """Return what is left of an "always"; one that the past violated is kept if it holds now."""
     found = progress(part, trace, repair.forgiven)
-    violated = found is False
-    if violated and part.interval[1] > now:
+    if found is False and part.interval[1] > now:
         found = Always((0.0, round(part.interval[1] - now, 9)), part.child)
     if isinstance(found, Always) and found.interval[0] == 0.0:
         present = float(robustness_signal(part.child, trace)[-1])
         if present < -repair.forgiven:
-            return False, True
-    return found, violated
+            return False
+    return found
 
 
 def _write_true(scenario: FreeFlyerScenario) -> str:
