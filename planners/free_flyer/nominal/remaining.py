@@ -109,7 +109,7 @@ def make_remaining_scenario(
     Raises:
         InputError: nothing remains, or the formula's rest cannot be said.
     """
-    parts = progress_formula(scenario, now, past, repair)
+    parts = progress_specification(scenario, now, past, repair)
     places = {name: np.array(positions[name], dtype=float) for name in scenario.bodies}
     speeds = {name: _read_velocity(scenario, name, velocities[name], repair) for name in scenario.bodies}
     for _ in range(repair.sweeps):
@@ -126,7 +126,7 @@ def make_remaining_scenario(
     return scenario.override(values)
 
 
-def progress_formula(
+def progress_specification(
     scenario: FreeFlyerScenario, now: float, past: Past, repair: Repair = Repair()
 ) -> tuple[Formula, ...]:
     """Return what is left of a scenario's formula: its remaining conjuncts, in time since now.

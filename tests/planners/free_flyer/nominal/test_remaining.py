@@ -13,7 +13,7 @@ from planners import make_expert, make_plan
 from planners.errors import Infeasible
 from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.nominal.event_sequence import compute_speed_caps
-from planners.free_flyer.nominal.remaining import Past, make_remaining_scenario, plan_rest, progress_formula
+from planners.free_flyer.nominal.remaining import Past, make_remaining_scenario, plan_rest, progress_specification
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.validation import compute_robustness, validate_plan
 from planners.plan import Plan
@@ -181,19 +181,19 @@ def test_the_rest_of_the_plan_is_as_good_as_the_plan(name: str) -> None:
 def test_what_is_served_is_dropped_and_what_cannot_be_mended_too() -> None:
     scenario, plan = _scenario("pong"), _plan("pong")
     now = round(plan.impacts[2].time + 1.0, 9)
-    assert [str(part) for part in progress_formula(scenario, now, _track(scenario, plan, now))] == [
+    assert [str(part) for part in progress_specification(scenario, now, _track(scenario, plan, now))] == [
         f"G[{100 - now:g},{100 - now:g}] pop in D"
     ]
     corridor = _scenario("corridor")
     times = np.arange(0.0, 20.05, 0.1)
     tracks = {body: np.repeat([corridor.body(body).start], len(times), axis=0) for body in corridor.bodies}
     tracks["pop"] = tracks["pop"] + [0.2, 0.0]
-    inside = progress_formula(corridor, 20.0, (times, tracks))
+    inside = progress_specification(corridor, 20.0, (times, tracks))
     tracks["pop"][50:60, 0] = 2.3
-    left = progress_formula(corridor, 20.0, (times, tracks))
+    left = progress_specification(corridor, 20.0, (times, tracks))
     assert left == inside  # pop was outside for a second, and is back
     tracks["pop"][50:, 0] = 2.3
-    outside = progress_formula(corridor, 20.0, (times, tracks))
+    outside = progress_specification(corridor, 20.0, (times, tracks))
     assert [str(part) for part in outside] == [
         "G[80,80] pop in goal",
         "G[0,80] snap in corridor",
