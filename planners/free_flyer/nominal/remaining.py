@@ -54,19 +54,6 @@ class Repair:
     sweeps: int = 4
 
 
-@dataclass(frozen=True)
-class Rest:
-    """Hold what is left of a formula.
-
-    Args:
-        parts: conjuncts that are left, in time since now.
-        violated: conjuncts that the past has violated; an "always" that holds now stays among the parts all the same.
-    """
-
-    parts: tuple[Formula, ...]
-    violated: tuple[str, ...]
-
-
 def plan_rest(
     rest: FreeFlyerScenario,
     impacts: int | None = None,
@@ -121,7 +108,7 @@ def make_remaining_scenario(
     Raises:
         InputError: nothing remains, or the formula's rest cannot be said.
     """
-    parts = progress_specification(scenario, now, past, repair).parts
+    parts = progress_specification(scenario, now, past, repair)
     places = {name: np.array(positions[name], dtype=float) for name in scenario.bodies}
     speeds = {name: _read_velocity(scenario, name, velocities[name], repair) for name in scenario.bodies}
     for _ in range(repair.sweeps):
@@ -138,8 +125,12 @@ def make_remaining_scenario(
     return scenario.override(values)
 
 
-def progress_specification(scenario: FreeFlyerScenario, now: float, past: Past, repair: Repair = Repair()) -> Rest:
-    """Return what is left of a scenario's formula, conjunct by conjunct.
+def progress_specification(
+    scenario: FreeFlyerScenario, now: float, past: Past, repair: Repair = Repair()
+) -> tuple[Formula, ...]:
+    """Return what is left of a scenario's formula: its remaining conjuncts, in time since now.
+
+    A conjunct that the past has decided is left out, but for an "always" that holds now.
 
     Args:
         scenario: the whole task.
@@ -163,18 +154,14 @@ def progress_specification(scenario: FreeFlyerScenario, now: float, past: Past, 
     }
     trace = Trace(signals, period, scenario.areas, scenario.bodies)
     left: list[Formula] = []
-    violated: list[str] = []
     for part in _list_conjuncts(scenario.specification.expand(scenario.bodies)):
         if isinstance(part, Always) and not part.child.is_temporal:
-            found, missed = _progress_always(part, trace, now, repair)
+            found = _progress_always(part, trace, now, repair)
         else:
             found = progress_formula(part, trace)
-            missed = found is False
         if isinstance(found, Formula):
             left.append(found)
-        if missed:
-            violated.append(str(part))
-    return Rest(tuple(left), tuple(violated))
+    return tuple(left)
 
 
 def _list_conjuncts(formula: Formula) -> Iterator[Formula]:
@@ -189,17 +176,16 @@ def _list_conjuncts(formula: Formula) -> Iterator[Formula]:
         yield formula
 
 
-def _progress_always(part: Always, trace: Trace, now: float, repair: Repair) -> tuple[Formula | bool, bool]:
-    """Return what is left of an "always", and whether the past violated it; one that holds now is kept all the same."""
+def _progress_always(part: Always, trace: Trace, now: float, repair: Repair) -> Formula | bool:
+    """Return what is left of an "always"; one that the past violated is kept if it holds now."""
     found = progress_formula(part, trace, repair.forgiven)
-    violated = found is False
-    if violated and part.interval[1] > now:
+    if found is False and part.interval[1] > now:
         found = Always((0.0, round(part.interval[1] - now, 9)), part.child)
     if isinstance(found, Always) and found.interval[0] == 0.0:
         present = float(robustness_signal(part.child, trace)[-1])
         if present < -repair.forgiven:
-            return False, True
-    return found, violated
+            return False
+    return found
 
 
 def _write_true(scenario: FreeFlyerScenario) -> str:

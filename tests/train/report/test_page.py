@@ -14,11 +14,11 @@ from planners.bezier import Curve
 from planners.plan import Plan
 from train.evaluation.metric import signed
 from train.evaluation.metrics import summarize
-from train.evaluation.statistics import compare
-from train.report.page import choose_looks, write_report
-from train.report import page as page_module
-from train.report.tables import write_differences
 from train.evaluation.results import Difference
+from train.evaluation.statistics import compare
+from train.report import page as page_module
+from train.report.page import choose_looks, write_report
+from train.report.tables import write_differences
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="no chromium, chromium-browser or google-chrome here")
