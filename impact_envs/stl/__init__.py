@@ -2,19 +2,9 @@
 
 from typing import TYPE_CHECKING, Any
 
-from impact_envs.stl.formula import (
-    SIGNALS,
-    Always,
-    And,
-    Eventually,
-    Formula,
-    Implies,
-    Not,
-    Or,
-    Temporal,
-    Until,
-)
+from impact_envs.stl.formula import SIGNALS, Formula
 from impact_envs.stl.margin import AreaLike
+from impact_envs.stl.operator import Always, And, Eventually, Implies, Not, Or, Temporal, Until
 from impact_envs.stl.parser import RESERVED, parse
 from impact_envs.stl.predicate import ALL, Distance, In, Linear, Predicate, Speed
 from impact_envs.stl.robustness import robustness, robustness_signal

@@ -14,7 +14,8 @@ from lark import Lark, Tree
 from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
 from impact_envs.errors import FormulaError, choices
-from impact_envs.stl.formula import Always, And, Eventually, Formula, Implies, Not, Or, Until, check_interval
+from impact_envs.stl.formula import Formula
+from impact_envs.stl.operator import Always, And, Eventually, Implies, Not, Or, Until, check_interval
 from impact_envs.stl.predicate import ALL, FUNCTIONS, In, Linear, make_comparison
 
 _OPERATORS = ("and", "or", "not", "implies", "until", "U", "eventually", "F", "always", "G")

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from impact_envs.errors import FormulaError, choices
-from impact_envs.stl.formula import And, Formula, format_number
+from impact_envs.stl.formula import Formula, format_number
 from impact_envs.stl.margin import AreaLike, AreaMargin, LinearMargin, Margin, NormMargin
+from impact_envs.stl.operator import And
 
 ALL = "all"
 """Stands for every body in ``all in area`` and ``speed(all) <= v``."""

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from impact_envs.errors import FormulaError
-from impact_envs.stl.formula import Always, And, Eventually, Formula, Not, Or, Temporal, Until
+from impact_envs.stl.formula import Formula
+from impact_envs.stl.operator import Always, And, Eventually, Not, Or, Temporal, Until
 from impact_envs.stl.predicate import Predicate, make_margins
 from impact_envs.stl.trace import Trace
 

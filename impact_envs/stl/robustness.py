@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from impact_envs.stl.formula import Always, And, Eventually, Formula, Not, Or, Until
+from impact_envs.stl.formula import Formula
 from impact_envs.stl.margin import Array
+from impact_envs.stl.operator import Always, And, Eventually, Not, Or, Until
 from impact_envs.stl.predicate import Predicate, make_margins
 from impact_envs.stl.trace import Trace, check_reach, is_tensor
 

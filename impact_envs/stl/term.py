@@ -11,8 +11,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from impact_envs.stl.formula import Always, And, Eventually, Formula, Not, Or, Until
+from impact_envs.stl.formula import Formula
 from impact_envs.stl.margin import AreaLike, Margin, Range, combine_ranges
+from impact_envs.stl.operator import Always, And, Eventually, Not, Or, Until
 from impact_envs.stl.predicate import Predicate
 
 Pick: TypeAlias = Callable[..., float]  # min or max
