@@ -70,7 +70,7 @@ class DualArmTask:
 
     def effort(self, action: np.ndarray) -> float:
         """Return an arm's effort in one control period, in [0, 1] where that is at most 0.1 s."""
-        return compute_effort(np.asarray(action, dtype=float)) * self.scenario.control_period / EFFORT_PERIOD
+        return compute_effort(np.asarray(action)) * self.scenario.control_period / EFFORT_PERIOD
 
     def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
         """Return what the joints spent in one control period: sum of |tau| dt over all of them [N m s]."""

@@ -87,7 +87,7 @@ class FloatingManipulatorTask:
 
     def effort(self, action: np.ndarray) -> float:
         """Return an agent's effort in one control period (see `compute_effort`), in [0, 1]."""
-        return compute_effort(np.asarray(action, dtype=float))
+        return compute_effort(np.asarray(action))
 
     def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
         """Return the thrusters' propulsion in one control period: sum of |F| dt over the axes [N s]."""

@@ -86,6 +86,7 @@ class FreeFlyerModel:
         self.physics = physics
         self._steps = 0
         self._owed = {name: [0.0, 0.0] for name in self.scenario.robots}
+        self._gains = dict(zip(self.scenario.robots, physics.thruster.reshape(-1, 3, 2), strict=True))
         self._bodies = [self._make_body(name) for name in self.scenario.bodies] + self._fixed
         self._movable = self._bodies[: len(self.scenario.bodies)]
         self._robots = {name: self._bodies[i] for i, name in enumerate(self.scenario.robots)}
@@ -161,8 +162,7 @@ class FreeFlyerModel:
 
     def _actuate(self, name: str, control: np.ndarray) -> None:
         """Turn a command into the accelerations held over the coming control period."""
-        body, table = self._robots[name], self.scenario.robots[name]
-        gain = self.physics.thruster[self.scenario.agents.index(name)].reshape(3, 2)
+        body, table, gain = self._robots[name], self.scenario.robots[name], self._gains[name]
         command = [float(u) for u in control]
         if len(command) != 3 or not all(map(math.isfinite, command)):
             raise InputError(f"control of {name} = {command}: three finite numbers Fx, Fy, tau are needed")

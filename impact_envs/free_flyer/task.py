@@ -70,7 +70,7 @@ class FreeFlyerTask:
 
     def effort(self, action: np.ndarray) -> float:
         """Return a robot's effort in one control period (see `compute_effort`), in [0, 1]."""
-        return compute_effort(np.asarray(action, dtype=float))
+        return compute_effort(np.asarray(action))
 
     def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
         """Return the propulsion spent in one control period: sum of |F| dt over robots [N s]."""
