@@ -15,6 +15,7 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, observed_order
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.rollout import Diagnostics
+from planners.correction import check_correction
 from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.impact_parameters import NOW, compute_gain_spread, compute_pair_gain, find_row, get_pair
 from planners.free_flyer.belief.options import Options, get_options, make_record
@@ -200,13 +201,9 @@ class FreeFlyerExpert:
         Raises:
             InputError: wrong shape, or no correction is awaited.
         """
-        values = np.asarray(correction, dtype=float)
-        if values.shape != (2,) or not np.isfinite(values).all():
-            raise InputError(f"correction must be 2 finite numbers, got {np.array2string(values, threshold=8)}")
-        if not self.awaiting_correction:
-            raise InputError("no correction is awaited now; see awaiting_correction")
+        values = check_correction(correction, self.correction_size, self.awaiting_correction)
         strike = self.memory.strike[0, self._due[0]]
-        strike["scale"], strike["turn"] = np.clip(values, -1.0, 1.0)
+        strike["scale"], strike["turn"] = values
 
     def features(self) -> np.ndarray:
         """Return what a learner may see of the coming impact (of the one a correction is awaited for, if any).
