@@ -42,9 +42,9 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         max_cycles: truncate earlier than the horizon [control periods].
         dtype: ``float64``, or ``float32`` to store and return less; arithmetic is float64.
         threads: that share the worlds; all cores if not given.
-        tensors: take and return torch tensors that share memory with the arrays.
         per_robot: compute each robot's own observation too (``agent_observations``).
-        device: ``cpu``, or ``cuda`` for a GPU: everything taken and returned is a torch tensor there.
+        device: of the torch tensors that are taken and returned: ``cpu``, where they share memory with the arrays, or
+            ``cuda`` for worlds on a GPU; default: NumPy arrays.
 
     Raises:
         ScenarioError: the scenario cannot be read.
@@ -59,9 +59,8 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         max_cycles: int | None = None,
         dtype: Literal["float64", "float32"] = "float64",
         threads: int | None = None,
-        tensors: bool = False,
         per_robot: bool = False,
-        device: Literal["cpu", "cuda"] = "cpu",
+        device: Literal["cpu", "cuda"] | None = None,
     ) -> None:
         loaded = load_scenario(scenario)
         make_batch = find_part("impact_envs", loaded.domain, "BATCH")
@@ -72,10 +71,10 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             )
         if dtype not in DTYPES:
             raise InputError(f"dtype '{dtype}' is unknown; {choices(dtype, DTYPES)}")
-        if device not in DEVICES:
+        if device not in (None, *DEVICES):
             raise InputError(f"device '{device}' is unknown; {choices(device, DEVICES)}")
-        self.scenario, self.num_envs, self.per_robot, self.device = loaded, num_envs, per_robot, device
-        self.tensors = tensors or device == "cuda"
+        self.scenario, self.num_envs, self.per_robot = loaded, num_envs, per_robot
+        self.tensors, self.on_gpu = device is not None, device == "cuda"
         modes = [mode.value for mode in AutoresetMode]
         if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in modes:
             raise InputError(f"autoreset_mode '{autoreset_mode}' is unknown; {choices(str(autoreset_mode), modes)}")
@@ -85,7 +84,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.autoreset_mode}
         threads = threads or len(os.sched_getaffinity(0))
-        self.batch: Any = make_batch(loaded, num_envs, max_cycles, DTYPES[dtype], threads, device)
+        self.batch: Any = make_batch(loaded, num_envs, max_cycles, DTYPES[dtype], threads, device or "cpu")
         size = self.batch.joint_size
         self.single_observation_space = Box(-np.inf, np.inf, (size,), DTYPES[dtype])
         self.single_action_space = Box(-1.0, 1.0, (3 * self.batch.robots,), np.float32)
@@ -236,7 +235,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _take(self, values: Any) -> Any:
         """Return what a caller gives as the batch takes it."""
-        if self.device == "cpu":
+        if not self.on_gpu:
             return np.asarray(values)
         import torch
 
@@ -244,7 +243,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _give(self, array: Any) -> Any:
         """Return an array, or a tensor over the same memory."""
-        if not self.tensors or self.device == "cuda":
+        if self.on_gpu or not self.tensors:
             return array
         import torch
 
