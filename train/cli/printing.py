@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
+from rich.measure import Measurement
 from rich.table import Column, Table
 
 from train.evaluation.metric import UNKNOWN
@@ -27,7 +30,10 @@ def show(result: dict[str, Any]) -> None:
     if "scenarios" in result:
         console.print(_table(result["scenarios"]))
     if "rows" in result:
-        console.print(_evaluation_table(result["rows"]))
+        table = _evaluation_table(result["rows"])
+        # Rather broken by the terminal than cut.
+        least = Measurement.get(console, console.options.update(max_width=1000), table).minimum
+        console.print(table, width=max(console.width, least), crop=False)
     plain = {k: v for k, v in result.items() if k not in ("scenarios", "rows", "paired", "plans")}
     if not plain.get("set"):
         plain.pop("set", None)
@@ -54,14 +60,22 @@ def _text(value: Any) -> str:
 
 
 def _evaluation_table(rows: Sequence[dict[str, Any]]) -> Table:
-    columns = list_columns()
+    shown = [(title, column) for title, column in list_columns() if not column.detail]
+    cells = [
+        [row["scenario"], row["suite"], Path(row["policy"]).name]
+        + [UNKNOWN if row[column.key] is None else column.write(row) for _, column in shown]
+        for row in rows
+    ]
+    heads = [(name, "left") for name in GROUP]
+    heads += [(title, "right" if column.cell == "number" else "left") for title, column in shown]
     table = Table(
-        *(Column(name, no_wrap=True) for name in GROUP),
-        *(Column(title, justify="right" if column.cell == "number" else "left") for title, column in columns),
         caption="intervals: Wilson of success, bootstrap of median robustness; effort of arms in N m s",
+        box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
     )
-    for row in rows:
-        key = (row["scenario"], row["suite"], Path(row["policy"]).name)
-        table.add_row(*key, *(UNKNOWN if row[a.key] is None else a.write(row) for _, a in columns))
+    for (title, justify), texts in zip(heads, zip(*cells, strict=True), strict=True):
+        # Titles are broken, cells are not.
+        table.add_column(escape(title), justify=justify, min_width=max(map(len, texts)))  # type: ignore[arg-type]
+    for row_cells in cells:
+        table.add_row(*map(escape, row_cells))
     return table

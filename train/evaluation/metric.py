@@ -38,6 +38,7 @@ class Aggregate:
         cell: how the text is set.
         bar: share, low and high end of its interval, drawn before the text; from the summary's row.
         hint: text shown on hover, from the summary's row.
+        detail: shown in reports only, not on terminals.
     """
 
     key: str
@@ -48,6 +49,7 @@ class Aggregate:
     cell: Literal["number", "interval", "text"] = "number"
     bar: Callable[[Mapping[str, Any]], tuple[float, float, float]] | None = None
     hint: Callable[[Mapping[str, Any]], str] | None = None
+    detail: bool = False
 
 
 @dataclass(frozen=True)

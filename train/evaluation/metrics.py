@@ -105,7 +105,7 @@ METRICS = (
             ),
             Aggregate(
                 "robustness_q05", _compute_quantile, title="5 % quantile",
-                write=lambda row: signed(row["robustness_q05"]),
+                write=lambda row: signed(row["robustness_q05"]), detail=True,
             ),
             Aggregate("robustness_mean", lambda values: float(np.mean(values.to_numpy(dtype=float)))),
         ),
