@@ -1,0 +1,3 @@
+"""Expert of the point mass."""
+
+EXPERT = "planners.point_mass.expert:PointMassExpert"
