@@ -1,12 +1,18 @@
-"""Always eventually, always eventually always, and their duals: a few operations per sample whatever the intervals.
+"""Alternations: always eventually, always eventually always, and their duals, in constant time per sample.
 
-With one number u for every sample not seen yet, the robustness is max(A, min(u, B)) (a least and greatest of u and
-constants is no more), hence two numbers are followed, not one per instant: the values for u = -inf and u = +inf.
+A value is final when all samples it depends on have come, and open before. The robustness is a least and greatest of
+samples. If every sample to come is the same number u, it is max(A, min(u, B)): so it is enough to follow two numbers,
+A for u = -inf and B for u = +inf, whatever the number of open instants.
 
-The outer operator is written as the least over instants t; for its dual all signs are turned. M(t) is the greatest of
-the final values inside that t can see, h(t) the least of samples for the last one that it can see, which is not final
-yet. For u = +inf an instant is worth max(M(t), h(t)). As t grows M falls and h rises, so the least is next to where
-they cross; and for a given t M can only rise and h only fall, so the crossing only moves forward.
+All code is for an outer "always", the least over instants t; for an outer "eventually" all signs are turned.
+
+Always eventually: an instant is worth the greatest sample it has seen, the last instant has seen the fewest, hence A
+is what the last instant has seen (TAIL), and B is the least of the final values (BEST).
+
+Always eventually always: A is the same with final values of the innermost operator in the place of samples. For B an
+open instant t is worth max(M(t), h(t)): M(t) is the greatest final inner value that t has seen, h(t) the least sample
+so far of the last inner window of t. As t grows M falls and h rises, so the least is next to where they cross. For a
+given t M only rises and h only falls with time, so the crossing only moves forward.
 """
 
 from __future__ import annotations
@@ -42,11 +48,11 @@ from impact_envs.stl.sliding import (
 )
 from impact_envs.stl.state import PLACE, combine, compute_state
 
-# Memory of a row: the extreme over final instants, that over what the last instant can see so far, the value of the
-# instant before the crossing, and the crossing, an instant, less the outer operator's first one.
+# Memory of a row: the least over final instants, the greatest that the last instant has seen, M of the instant before
+# the crossing, and the crossing itself, counted from the outer operator's first instant.
 BEST, TAIL, PASSED, CROSSING = range(4)
-# Then the heads of windows and queues: the final values of the operator inside, and of the innermost one; the values
-# that the instant at the crossing can see, final ones and samples.
+# Then the heads of two windows, which make the middle and the innermost operator final, and of two queues, of which M
+# and h at the crossing are read. The values of all four follow.
 OUTER = 4
 INNER = OUTER + WINDOW
 FINALS = INNER + WINDOW

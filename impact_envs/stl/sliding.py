@@ -1,12 +1,11 @@
 """Extremes of sliding windows, a few operations per sample whatever the window: compiled scalar functions.
 
-A window of fixed width needs no stamps: values are kept in blocks of that width, and a window is the end of the
-last block, gathered backward when it was full, and the start of the present one, gathered forward. Source: van Herk
-1992, Gil & Werman 1993, taken sample by sample.
+A window of fixed width keeps its values in blocks of that width. It is the end of the last block, gathered backward
+when that block was full, and the start of the present one, gathered forward. Source: van Herk 1992, Gil & Werman 1993.
 
-A queue is a window whose ends move on their own: two stacks. The oldest values are on the first, each with the
-extreme of itself and all below it; new ones wait on the second. Its head holds how many are on
-the first, how many on the second, and the extreme of those.
+A queue is a window whose two ends move independently. It is two stacks: the first holds the oldest values, each
+replaced by the extreme of itself and of all below it; new values go on the second. When the first is empty, the second
+is moved to it. The head of a queue holds both lengths and the extreme of the second stack.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ STACKED, WAITING, GATHERED = range(QUEUE)
 
 @inlined
 def worst(pick: int) -> float:
-    """Return what every number is picked before."""
+    """Return the number that loses against every other: -inf for MAX, inf for MIN."""
     return -math.inf if pick == MAX else math.inf
 
 
