@@ -51,6 +51,8 @@ class Command:
 
         scenario = load_scenario(self.scenario)
         check_planned(scenario)
+        if self.plot and find_part("train", scenario.domain, "PLAN_PICTURE") is None:
+            raise InputError(f"--plot {self.plot}: domain '{scenario.domain}' draws no picture of a plan")
         self._check()
         if self.encoding == "bezier":
             return self._plan_by_bezier(scenario)

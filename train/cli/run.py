@@ -84,12 +84,11 @@ class Command:
         """Refuse what cannot be played or written before anything is played; returns the film, None without one."""
         if self.seed < 0:
             raise InputError(f"seed {self.seed} is negative; choices: 0, 1, 2, ...")
-        film = _open_film(self.render)
         if self.plot:
             check_picture_path(self.plot)
             if find_part("train", scenario.domain, "PICTURE") is None:
                 raise InputError(f"--plot {self.plot}: domain '{scenario.domain}' draws no picture of an episode")
-        return film
+        return _open_film(self.render)
 
     def _make_record(self, scenario: Scenario, policy: Any) -> Any:
         """Return what watches the episode, None where nobody asks it."""
