@@ -1,4 +1,4 @@
-"""What is asked of two arms that grasp: actions, observations, signals of the formula, effort."""
+"""The task of two arms that grasp: actions, observations, signals of the formula, effort."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class DualArmTask:
 
     Observation of an arm, float64, SI units, exact: of itself and then of the other arm ``q1, q2, q3, q1', q2', q3'``
     [rad, rad/s], the normal forces at its pad's two corners [N], and of its pad ``x, y, cos(heading), sin(heading), vx,
-    vy, omega`` [m, -, m/s, rad/s]; then ``time / horizon``. Neither the box is observed nor the robustness, which would
-    tell where it is.
+    vy, omega`` [m, -, m/s, rad/s]; then ``time / horizon``. Neither the box nor the robustness is observed;
+    the robustness would reveal the box's pose.
 
     Action of an arm: torques of its three joints in [-1, 1] of their limits, held over the control period.
 
@@ -73,7 +73,7 @@ class DualArmTask:
         return compute_effort(np.asarray(action)) * self.scenario.control_period / EFFORT_PERIOD
 
     def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
-        """Return what the joints spent in one control period: sum of |tau| dt over all of them [N m s]."""
+        """Return the propulsion of all joints in one control period: sum of |tau| dt [N m s]."""
         return sum(abs(tau) for u in controls.values() for tau in u.tolist()) * self.scenario.control_period
 
     def sense(self, states: np.ndarray, impacts: Sequence[Impact]) -> None:
@@ -93,7 +93,7 @@ class DualArmTask:
 
         Args:
             time: [s].
-            bounds: interval of robustness still possible, which arms are not told.
+            bounds: interval of robustness still possible, not observed.
         """
         share = time / self.scenario.horizon
         first, second = self._measured
@@ -110,7 +110,7 @@ class DualArmTask:
         return dict(zip(self._signals, values.ravel().tolist(), strict=True))
 
     def signal_bounds(self) -> dict[str, tuple[float, float]]:
-        """Return what is known of signals beforehand: limits of torques and times, and what cannot be negative."""
+        """Return the bounds known beforehand: limits of torques and times; no signal of a grasp is negative."""
         torque = max(self._limits)
         upper = {"torque": torque, "torque_step": 2.0 * torque}
         upper |= dict.fromkeys(("lag", "interim", "limit_time"), self.scenario.horizon)
@@ -118,7 +118,7 @@ class DualArmTask:
         return {f"{body}.{name}": (0.0, limit) for body in self.scenario.bodies for name, limit in upper.items()}
 
     def shapes(self) -> tuple[Shape, ...]:
-        """Return regions, the table where it is believed to be, the box and the pads, in drawing order."""
+        """Return regions, the table at its believed pose, the box and the pads, in drawing order."""
         scenario = self.scenario
         box, pad = scenario.box, scenario.links.pad_half_height
         regions = [Shape(None, "region", vertices=a.corners, label=n) for n, a in scenario.regions.items()]
@@ -134,7 +134,7 @@ class DualArmTask:
         return (*regions, table, Shape("box", "object", vertices=sides, label="box"), *pads)
 
     def chains(self, states: np.ndarray) -> dict[str, np.ndarray]:
-        """Return what connects each pad to its base: base, elbow, wrist and pad.
+        """Return the polyline of each arm: base, elbow, wrist and pad.
 
         Args:
             states: true states, shape (3, 22).

@@ -1,4 +1,4 @@
-"""A floating manipulator that hits a floating box (Nekoo, Sharf & Ollero)."""
+"""A floating manipulator whose tip hits a floating box (Nekoo, Sharf & Ollero)."""
 
 SCHEMA = "impact_envs.floating_manipulator.schema:FloatingManipulatorScenario"
 MODEL = "impact_envs.floating_manipulator.model:FloatingManipulatorModel"

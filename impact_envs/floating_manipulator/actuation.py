@@ -1,4 +1,4 @@
-"""What motors, thrusters and wheel give of what they are commanded."""
+"""Limits of the actuators: the forces and torques that motors, thrusters and wheel deliver when commanded."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def compute_forces(
     Joints: |u + stall_torque / no_load_speed * speed| <= stall_torque, likewise the wheel. Thrusters are on or off.
 
     Args:
-        scenario: says what there is to drive the base.
+        scenario: its thrusters and wheel.
         physics: limits of the true world.
         v: rates at the start of the period: of base x, y, psi and the joints, shape (n + 3,) [m/s], [rad/s].
-        controls: ``arm`` to joint torques, shape (n,) [N m]; where it can be driven, ``base`` to forces along the
+        controls: ``arm``: joint torques, shape (n,) [N m]; where the base is actuated, ``base``: forces along the
             world's axes and torque, shape (3,) [N], [N m].
 
     Returns:
@@ -45,7 +45,7 @@ def compute_forces(
 def limit_torques(
     v: np.ndarray, stall_torque: np.ndarray, no_load_speed: np.ndarray, command: np.ndarray, force: np.ndarray
 ) -> None:
-    """Compute the torques that the joints' motors give.
+    """Compute the torques that the joints' motors deliver.
 
     Args:
         v: rates of base and joints, shape (n + 3,).
@@ -59,7 +59,7 @@ def limit_torques(
 
 
 def _limit_torque(motor: Motor | None, torque: float, speed: float) -> float:
-    """Return what a motor gives of a torque at a speed; nothing without a motor."""
+    """Return the torque that a motor delivers at a speed; 0 without a motor."""
     if motor is None:
         return 0.0
     drop = motor.stall_torque * speed / motor.no_load_speed

@@ -1,7 +1,4 @@
-"""How the tip, a disc, lies to the box: gap, normal, speed and what the gap's acceleration is without forces.
-
-Scalar code in the subset of Python that numba compiles.
-"""
+"""Contact geometry of the tip, a disc, and the box: gap, normal, rates, and the gap's acceleration without forces."""
 
 from __future__ import annotations
 
@@ -12,13 +9,13 @@ from numba import njit
 
 
 class Contact(NamedTuple):
-    """Hold how the tip lies to the box.
+    """Geometry of the tip relative to the box.
 
-    Args:
+    Attributes:
         gap: distance between disc and box, negative in overlap [m].
-        rate: of the gap, negative when they close in [m/s].
+        rate: of the gap, negative when it closes [m/s].
         nx, ny: unit normal from the box to the tip.
-        rx, ry: nearest point of the box, from its centre [m].
+        rx, ry: nearest point of the box, relative to its centre [m].
         slip: speed of the tip along the box [m/s].
         bias: acceleration of the gap that comes from velocities alone [m/s^2].
     """
@@ -41,18 +38,15 @@ def compute_contact(
     half_length: float,
     half_width: float,
 ) -> Contact:
-    """Return how a disc lies to a box.
+    """Return the contact geometry of a disc and a box.
 
     Beside a face the normal turns with the box; at a corner it points from the corner to the disc's centre.
 
     Args:
-        tip: x, y, vx, vy, ax, ay of the disc's centre; the acceleration is the one without forces.
+        tip: x, y, vx, vy, ax, ay of the disc's centre; the acceleration without forces.
         radius: of the disc [m].
         box: x, y, heading, vx, vy, omega.
         half_length, half_width: of the box along its own axes [m].
-
-    Returns:
-        The contact.
     """
     c, s = math.cos(box[2]), math.sin(box[2])
     dx, dy = tip[0] - box[0], tip[1] - box[1]

@@ -1,4 +1,4 @@
-"""Flight from event to event, compiled: when the tip meets the box, and when it stops pushing it."""
+"""Simulation from event to event: when the tip meets the box, and when it stops pushing it."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from impact_envs.floating_manipulator.flow import (
 )
 from impact_envs.physics.multibody import compute_mass_matrix, factorise
 
-# Longest step of integration, shortest one while pushing, and what is left over by rounding [s].
+# Longest integration step, shortest step while pushing, and times that are rounding errors [s].
 STEP, SHORTEST, ROUNDING = 0.0025, 1e-5, 1e-12
-# Overlap that is rounding, and a gap that counts as touching [m].
+# Greatest overlap by rounding, and greatest gap that counts as touching [m].
 TOUCHING = 1e-12
 BISECTIONS = 60
-# While pushing, the tip slides no farther in a step than this share of its radius, so that corners are seen.
+# Greatest slide of the tip in a step while pushing, relative to its radius: no corner of the box is missed.
 STRIDE = 0.1
 FLOWN, HIT, RELEASED = 0, 1, 2
 
@@ -31,7 +31,7 @@ FLOWN, HIT, RELEASED = 0, 1, 2
 def look_ahead(
     system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, h: float, scratch: Scratch
 ) -> tuple[float, float]:
-    """Return the gap and its rate a time h ahead in free flight; the state there is left in scratch."""
+    """Return the gap and its rate after a time h of free flight; scratch holds the state there."""
     take_step(system, force, q, v, h, False, scratch)
     contact = find_contact(system, scratch.q_next, scratch.v_next, scratch)
     return contact.gap, contact.rate
@@ -41,7 +41,7 @@ def look_ahead(
 def find_turn(
     system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, h: float, sign: float, scratch: Scratch
 ) -> float:
-    """Return the last time found at which the gap's rate still has a sign that it has lost at h (bisection)."""
+    """Return the time before h at which the gap's rate loses a sign, by bisection from below."""
     low, high = 0.0, h
     for _ in range(BISECTIONS):
         middle = (low + high) / 2.0
@@ -57,20 +57,20 @@ def find_turn(
 def find_hit(
     system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, h: float, scratch: Scratch
 ) -> tuple[bool, float]:
-    """Return whether the tip meets the box within a step of free flight, and when.
+    """Find the time at which the tip meets the box within a step of free flight.
 
-    A step that starts in touch meets the box at once if the gap closes; if it opens and closes again, the meeting is
-    sought after the gap's greatest opening.
+    A step that starts in touch meets the box at once if the gap closes; if the gap opens and closes again, the hit is
+    searched after its maximum.
 
     Args:
         system: true physics.
         force: generalised forces, shape (m,).
         q, v: state at the start of the step, shape (m,).
         h: length of the step [s].
-        scratch: holds the state h ahead if there is no hit.
+        scratch: holds the state after h if there is no hit.
 
     Returns:
-        Whether, and the time from the start; the gap there is not negative.
+        Whether there is a hit, and its time from the start; the gap there is not negative.
     """
     start = find_contact(system, q, v, scratch)
     gap, rate = look_ahead(system, force, q, v, h, scratch)
@@ -104,17 +104,17 @@ def find_hit(
 def find_release(
     system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, h: float, scratch: Scratch
 ) -> tuple[bool, float]:
-    """Return whether the tip stops pushing within a step, and when (bisection on the normal force).
+    """Find the time at which the tip stops pushing within a step, by bisection on the normal force.
 
     Args:
         system: true physics.
         force: generalised forces, shape (m,).
         q, v: state at the start of the step, shape (m,).
         h: length of the step [s].
-        scratch: holds the state h ahead if it is not released.
+        scratch: holds the state after h if there is no release.
 
     Returns:
-        Whether, and the time from the start.
+        Whether there is a release, and its time from the start.
     """
     low, high, end = 0.0, 0.0, h
     for _ in range(BISECTIONS):
@@ -131,7 +131,7 @@ def find_release(
 
 @njit(cache=True)
 def close_gap(system: System, q: np.ndarray, v: np.ndarray, scratch: Scratch) -> None:
-    """Take back, by equal and opposite impulses, what rounding opened or closed of a gap that is held."""
+    """Correct the rounding errors of a closed gap and of its rate, by equal and opposite impulses."""
     contact = find_contact(system, q, v, scratch)
     compute_mass_matrix(system.chain, scratch.w, scratch.M)
     factorise(scratch.M)
@@ -142,7 +142,7 @@ def close_gap(system: System, q: np.ndarray, v: np.ndarray, scratch: Scratch) ->
 
 
 @njit(cache=True)
-def advance(
+def advance_to_event(
     system: System,
     force: np.ndarray,
     q: np.ndarray,
@@ -151,7 +151,7 @@ def advance(
     touching: bool,
     scratch: Scratch,
 ) -> tuple[int, float]:
-    """Move (q, v) on in place until the duration is over or something happens.
+    """Advance (q, v) in place until an event or the end of the duration.
 
     Args:
         system: true physics.
@@ -162,7 +162,7 @@ def advance(
         scratch: working arrays.
 
     Returns:
-        FLOWN, HIT (the tip meets the box) or RELEASED (it stops pushing), and the time it took [s].
+        FLOWN (no event), HIT (the tip meets the box) or RELEASED (it stops pushing), and the time until then [s].
     """
     t = 0.0
     while duration - t > ROUNDING:

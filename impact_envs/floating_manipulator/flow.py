@@ -1,7 +1,7 @@
-"""Dynamics of manipulator and box together, compiled: accelerations, and one step of Runge-Kutta 4.
+"""Dynamics of manipulator and box together: accelerations, and one step of Runge-Kutta 4.
 
-Coordinates q = (base x, y, psi, joints, box x, y, heading), v their rates. In flight the two systems do not feel each
-other; while the tip pushes the box, a normal force keeps the gap closed.
+Coordinates q = (base x, y, psi, joints, box x, y, heading), v their rates. In flight the two systems are independent;
+while the tip pushes the box, a normal force keeps the gap closed.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from impact_envs.physics.multibody import (
 
 
 class System(NamedTuple):
-    """Hold the true physics of one world.
+    """The true physics of one world.
 
-    Args:
+    Attributes:
         chain: base, links and load.
         box_mass, box_inertia: [kg], [kg m^2].
         half_length, half_width: of the box along its own axes [m].
@@ -43,12 +43,12 @@ class System(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Hold the arrays that compiled functions work in, for m = n + 6 coordinates.
+    """Working arrays, for m = n + 6 coordinates.
 
-    Args:
+    Attributes:
         w, rates: directions and absolute rates, shapes (n + 1, 2) and (n + 1,).
-        M, J: mass matrix (then its factor) and tip Jacobian of the chain, shapes (n + 3, n + 3) and (2, n + 3).
-        row, response: gap's rate is row . v; what a unit impulse along it does to v, shape (m,).
+        M, J: mass matrix (later its factor) and tip Jacobian of the chain, shapes (n + 3, n + 3) and (2, n + 3).
+        row, response: the gap's rate is row . v; the change of v per impulse along it, shape (m,).
         a: accelerations of the four stages, shape (4, m).
         q_stage, v_stage, q_next, v_next: shape (m,).
     """
@@ -79,7 +79,7 @@ def make_scratch(joints: int) -> Scratch:
 
 @njit(cache=True)
 def find_contact(system: System, q: np.ndarray, v: np.ndarray, scratch: Scratch) -> Contact:
-    """Return how the tip lies to the box; leaves the directions in scratch."""
+    """Return the contact geometry of tip and box; scratch holds the directions."""
     m = len(q)
     chain = system.chain
     compute_directions(chain, q, v, scratch.w, scratch.rates)
@@ -90,7 +90,7 @@ def find_contact(system: System, q: np.ndarray, v: np.ndarray, scratch: Scratch)
 
 @njit(cache=True)
 def compute_response(system: System, contact: Contact, scratch: Scratch) -> float:
-    """Compute what an impulse along the normal does: dv = response p; needs the factor of M in scratch.
+    """Compute the response to an impulse p along the normal, dv = response p; scratch must hold the factor of M.
 
     Args:
         system: masses.
@@ -134,7 +134,7 @@ def compute_acceleration(
         scratch: working arrays.
 
     Returns:
-        Normal force p, negative if the tip would have to pull; 0 if not touching [N].
+        Normal force p, negative where the tip would have to pull; 0 if not touching [N].
     """
     m = len(q)
     compute_directions(system.chain, q, v, scratch.w, scratch.rates)
@@ -183,7 +183,7 @@ def take_step(
 
 @njit(cache=True)
 def compute_opening(system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, scratch: Scratch) -> float:
-    """Return the acceleration of the gap in free flight [m/s^2]; row and response of the contact stay in scratch."""
+    """Return the acceleration of the gap in free flight [m/s^2]; scratch holds row and response of the contact."""
     compute_acceleration(system, force, q, v, False, scratch.a[0], scratch)
     contact = find_contact(system, q, v, scratch)
     compute_response(system, contact, scratch)

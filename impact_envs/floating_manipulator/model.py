@@ -1,7 +1,7 @@
 """A floating manipulator and a free box: flight by Runge-Kutta 4, exact impacts of the tip, pushing without overlap.
 
-Flight is compiled (``flow``, ``events``); impacts obey ``physics.impact``. Motors, wheel and thrusters turn commands
-into torques and forces once per control period, from the speeds at its start, and hold them.
+Flight is compiled (``flow``, ``events``); impacts follow ``physics.impact``. Motors, wheel and thrusters compute forces
+and torques from the commands and speeds at the start of a control period, and hold them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from impact_envs.errors import InputError, choices
 from impact_envs.floating_manipulator.actuation import compute_forces
-from impact_envs.floating_manipulator.events import FLOWN, HIT, advance
+from impact_envs.floating_manipulator.events import FLOWN, HIT, advance_to_event
 from impact_envs.floating_manipulator.flow import (
     System,
     compute_opening,
@@ -46,7 +46,7 @@ EVENTS = 1000  # in one control period; more means the rule above has failed
 
 @dataclass(frozen=True, eq=False)
 class Collision:
-    """One impact with all velocities.
+    """One impact with all velocities before and after it.
 
     Attributes:
         impact: of tip and box.
@@ -69,15 +69,15 @@ class FloatingManipulatorModel:
     """Physics of the floating-manipulator domain.
 
     Only tip and box touch; links and base pass through the box. The reaction wheel acts as an external torque on the
-    base (as in the paper); what it takes up is booked in ``wheel_momentum``.
+    base (as in the paper); ``wheel_momentum`` sums the angular momentum that it takes up.
 
-    Everything that outlives a control period is plain numbers: a pickled model goes on bit for bit.
+    The state between control periods is plain numbers: a pickled model continues bit for bit.
 
     Args:
         scenario: who is where.
 
     Attributes:
-        physics: of the present episode.
+        physics: of the current episode.
         collisions: of the last control period.
         torques: of the joints, held over the last control period, shape (n,) [N m].
         base_forces: Fx, Fy and torque on the base, held over the last control period, shape (3,) [N], [N m].
@@ -91,7 +91,7 @@ class FloatingManipulatorModel:
         self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
 
     def reset(self, physics: Physics) -> None:
-        """Put manipulator and box at rest at their start, in a world with these physics.
+        """Put manipulator and box at rest at their start in a world with these physics.
 
         Args:
             physics: the drawn numbers of one episode.
@@ -146,11 +146,11 @@ class FloatingManipulatorModel:
         return rows
 
     def set_state(self, states: np.ndarray) -> None:
-        """Move manipulator and box to a state; time goes on.
+        """Set the state of manipulator and box; the time is kept.
 
         Args:
-            states: as ``state`` returns them, shape (n + 4, 6); of links only heading and omega count, tip and target
-                follow.
+            states: as ``state`` returns them, shape (n + 4, 6); of links only heading and omega are used, of tip and
+                target nothing.
         """
         n = self._n
         rows = np.asarray(states, dtype=float)
@@ -163,11 +163,11 @@ class FloatingManipulatorModel:
         """Advance one control period under held controls.
 
         Args:
-            controls: ``arm`` to commanded joint torques, shape (n,) [N m]; where thrusters or a wheel exist, ``base``
-                to commanded forces along the world's axes and torque of the wheel, shape (3,) [N], [N m].
+            controls: ``arm``: commanded joint torques, shape (n,) [N m]; where there are thrusters or a wheel,
+                ``base``: commanded forces along the world's axes and torque of the wheel, shape (3,) [N], [N m].
 
         Returns:
-            The impacts, in order of time; touches that start a push are none.
+            The impacts in order of time; a touch that starts a push is not one.
 
         Raises:
             InputError: an agent without control, an unknown one, or a control of wrong shape or not finite.
@@ -175,7 +175,9 @@ class FloatingManipulatorModel:
         agents = self.scenario.agents
         if controls.keys() != set(agents):
             wrong = ", ".join(sorted(controls.keys() ^ set(agents)))
-            raise InputError(f"controls must name every agent once, not so: {wrong}; {choices(wrong, agents)}")
+            raise InputError(
+                f"controls must name every agent once; wrong or missing: {wrong}; {choices(wrong, agents)}"
+            )
         self._actuate(controls)
         self._advance(self.scenario.control_period)
         self._steps += 1
@@ -200,7 +202,7 @@ class FloatingManipulatorModel:
         return np.array([compute_kinetic_energy(self.physics.chain, self._v[:-3], w, rates), box])
 
     def _actuate(self, controls: Mapping[str, np.ndarray]) -> None:
-        """Turn commands into the forces held over the coming control period."""
+        """Compute the forces held over the next control period from the commands."""
         sizes = {"arm": self._n, "base": 3}
         checked = {agent: _check_control(agent, control, sizes[agent]) for agent, control in controls.items()}
         self._force[:-3] = compute_forces(self.scenario, self.physics, self._v[:-3], checked)
@@ -208,11 +210,11 @@ class FloatingManipulatorModel:
             self.wheel_momentum -= self._force[2] * self.scenario.control_period
 
     def _advance(self, period: float) -> None:
-        """Move everything through one control period, event by event."""
+        """Advance the state by one control period, event by event."""
         self.collisions = []
         t = 0.0
         for _ in range(EVENTS):
-            event, taken = advance(
+            event, taken = advance_to_event(
                 self._system, self._force, self._q, self._v, period - t, self._touching, self._scratch
             )
             t += taken
@@ -224,7 +226,7 @@ class FloatingManipulatorModel:
         raise RuntimeError(f"more than {EVENTS} events in the control period at {self.time:g} s")
 
     def _collide(self, time: float) -> None:
-        """Change velocities by an impact, or start to push."""
+        """Apply an impact to the velocities, or start to push."""
         contact = find_contact(self._system, self._q, self._v, self._scratch)
         press = -compute_opening(self._system, self._force, self._q, self._v, self._scratch)
         speed = -contact.rate
@@ -257,7 +259,7 @@ class FloatingManipulatorModel:
 
 
 def _check_control(agent: str, control: np.ndarray, size: int) -> np.ndarray:
-    """Return a control as an array, or say what is wrong with it."""
+    """Return a control as an array of a size; raise if it is none."""
     values = np.asarray(control, dtype=float)
     if values.shape != (size,) or not np.isfinite(values).all():
         text = np.array2string(values, threshold=8).replace("\n", "")

@@ -61,15 +61,15 @@ class Link(Motor):
 
 
 class Load(Table):
-    """What the arm carries at its tip; a disc that touches the box."""
+    """The load at the arm's tip: a disc that touches the box."""
 
     mass: NonNegative = 0.0  # [kg]
     inertia: NonNegative = 0.0  # [kg m^2]
-    radius: Positive = 0.001  # the tip meets the box at this distance; without one, corners have no normal [m]
+    radius: Positive = 0.001  # positive, because a point has no normal at a corner of the box [m]
 
 
 class Arm(Table):
-    """Where the arm starts, at rest, and where its tip shall be at the end."""
+    """Start of the arm, at rest, and goal of its tip."""
 
     goal: Vector  # of the tip [m]
     joints: tuple[Finite, ...] | None = None  # relative angles at the start [rad]
@@ -102,7 +102,7 @@ class Thrusters(Table):
 
 
 class Believed(Table):
-    """The physics that the expert computes with, beside the masses of the tables above."""
+    """The physics that the expert computes with, in addition to the masses of the tables above."""
 
     restitution: Restitution
 
@@ -172,27 +172,27 @@ class Physics:
 
 
 class FloatingManipulatorScenario(Scenario):
-    """An arm on a floating base that brings its tip to a goal and hits a free box on the way."""
+    """An arm on a floating base that moves its tip to a goal and hits a free box on the way."""
 
     suite_file: ClassVar[Path | None] = Path(__file__).parent / "suites.toml"
 
     domain: Literal["floating_manipulator"]
-    world: Box  # what is drawn; nothing ends there
+    world: Box  # that is drawn; bodies may leave it
     base: Base
     links: dict[str, Link]
     load: Load = Load()
     arm: Arm
     box: FloatingBox
     thrusters: Thrusters | None = None
-    wheel: Motor | None = None  # turns the base against an external torque, as in the paper
-    safety_pause: NonNegative = 0.0  # the arm is not driven to its goal for so long after an impact [s]
-    requirements: dict[str, str] = {}  # further formulas, by name, that an episode is judged by
+    wheel: Motor | None = None  # acts on the base as an external torque, as in the paper
+    safety_pause: NonNegative = 0.0  # after an impact, without control of the tip [s]
+    requirements: dict[str, str] = {}  # additional formulas, by name, that are evaluated for every episode
     believed: Believed
     true: Truth = Truth()
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """Return ``arm`` and, where it can be driven, ``base``."""
+        """Return ``arm`` and, where it is actuated, ``base``."""
         return ("arm",) if self.thrusters is None and self.wheel is None else ("arm", "base")
 
     @property
@@ -202,12 +202,12 @@ class FloatingManipulatorScenario(Scenario):
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Return what a formula may say of a body; not every body has every signal (see ``extra_signals``)."""
+        """Return the signals of bodies; not every body has every signal (see ``extra_signals``)."""
         return (*SIGNALS, *dict.fromkeys(name.partition(".")[2] for name in self.extra_signals))
 
     @cached_property
     def extra_signals(self) -> tuple[str, ...]:
-        """Return the signals beside position and velocity of every body (see the task)."""
+        """Return the signals other than position and velocity of the bodies (see the task)."""
         return (
             *(f"{link}.{name}" for link in self.links for name in ("joint_velocity", "torque")),
             *(f"{body}.{name}" for body in ("base", "box") for name in ("momentum_x", "momentum_y")),
@@ -221,12 +221,12 @@ class FloatingManipulatorScenario(Scenario):
 
     @property
     def largest_commands(self) -> dict[str, np.ndarray]:
-        """Return what an action of 1 commands.
+        """Return the commands of an action of 1.
 
-        Three times the stall torques: what motors give while they brake at twice their no-load speed.
+        Three times the stall torques: motors deliver them when they brake at twice their no-load speed.
 
         Returns:
-            ``arm`` to joint torques, shape (n,) [N m]; where it can be driven, ``base`` to forces along the world's
+            ``arm``: joint torques, shape (n,) [N m]; where the base is actuated, ``base``: forces along the world's
             axes and torque, shape (3,) [N], [N m].
         """
         arm = np.array([3.0 * link.stall_torque for link in self.links.values()])
@@ -262,7 +262,7 @@ class FloatingManipulatorScenario(Scenario):
         return bare.override({"requirements": {name: str(f.scale_time(factor)) for name, f in self.required.items()}})
 
     def as_believed(self) -> Self:
-        """Return the scenario as the expert sees it: the true world is the believed one."""
+        """Return the scenario as the expert sees it: the true physics are the believed ones."""
         return self.model_copy(update={"true": Truth()})
 
     def draw(self, rng: np.random.Generator) -> Physics:
@@ -332,7 +332,7 @@ class FloatingManipulatorScenario(Scenario):
         return self
 
     def _check_formulas(self) -> None:
-        """Raise unless all formulas speak of signals there are, and of times up to the horizon."""
+        """Raise unless the formulas use known signals and times up to the horizon."""
         known = [f"{body}.{name}" for body in self.bodies for name in SIGNALS] + list(self.extra_signals)
         try:
             formulas = {"formula": self.specification}
@@ -363,7 +363,7 @@ class FloatingManipulatorScenario(Scenario):
         return float(_uncompiled(compute_contact)(tip, self.load.radius, box, length / 2, width / 2).gap)
 
     def _box_room(self) -> float:
-        """Return how far a point of the box can lie from where the file has it [m]."""
+        """Return the greatest distance between a point of the true box and of the box in the file [m]."""
         ranges: Mapping[str, tuple[float, float]] = {
             name: _range(getattr(self.true, name)) for name in ("box_offset_x", "box_offset_y", "box_turn")
         }

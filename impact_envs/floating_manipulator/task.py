@@ -1,4 +1,4 @@
-"""What is asked of a floating manipulator: actions, observations, signals of the formula, effort."""
+"""The task of a floating manipulator: actions, observations, signals of the formula, effort."""
 
 from __future__ import annotations
 
@@ -35,9 +35,10 @@ class FloatingManipulatorTask:
 
     Action of ``arm``: joint torques in [-1, 1] of three times their stall torques, before the motors' limits. Action of
     ``base``: ``[Fx, Fy, torque]`` along the world's axes; the on/off thrusters fire where the command exceeds their
-    dead zone, the wheel's torque is in [-1, 1] of three times its stall torque. What the base lacks, it ignores.
+    dead zone, the wheel's torque is in [-1, 1] of three times its stall torque. Commands of actuators that the base
+    lacks are ignored.
 
-    Signals of the formula, beside position and velocity of every body: ``link.joint_velocity`` [rad/s] and
+    Signals of the formula, in addition to position and velocity of every body: ``link.joint_velocity`` [rad/s] and
     ``link.torque`` [N m] of the joint that carries the link, held in the last control period;
     ``base.momentum_x, base.momentum_y`` [N s] and ``base.angular_momentum`` [N m s] about the world's origin, of base,
     arm and load together; the same of ``box``; ``tip.impulse``, the sum of impulses on the box in the last control
@@ -147,7 +148,7 @@ class FloatingManipulatorTask:
         return dict(zip(self._names, values, strict=True))
 
     def signal_bounds(self) -> dict[str, tuple[float, float]]:
-        """Return what is known of signals beforehand: the goal stays, times and impulses are not negative."""
+        """Return the bounds known beforehand: the goal is fixed, times and impulses are not negative."""
         x, y = self.scenario.arm.goal
         times = (0.0, self.scenario.horizon)
         return {
@@ -175,7 +176,7 @@ class FloatingManipulatorTask:
         return {}
 
     def _goal(self) -> list[Shape]:
-        """Return the goal as discs of the distances that the formula asks of tip and target."""
+        """Return the goal as discs whose radii are the formula's bounds on the distance of tip and target."""
         x, y = self.scenario.arm.goal
         asked = [p for p in self.scenario.specification.walk() if isinstance(p, Distance)]
         radii = sorted({p.bound for p in asked if set(p.bodies()) == {"tip", "target"}}, reverse=True)
@@ -186,7 +187,7 @@ class FloatingManipulatorTask:
         ]
 
     def _take(self, states: np.ndarray, contact: bool) -> None:
-        """Keep the true coordinates of the manipulator, and what is measured, which is seen after the delay."""
+        """Store the true coordinates of the manipulator, and the measurement that is observed after the delay."""
         n = self._n
         self._q, self._v = np.empty(n + 3), np.empty(n + 3)
         for vector, columns in ((self._q, (0, 1, 4)), (self._v, (2, 3, 5))):
