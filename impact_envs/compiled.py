@@ -14,7 +14,7 @@ from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
 from types import FunctionType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import event
@@ -151,6 +151,20 @@ def list_calls(function: Dispatcher) -> set[Dispatcher]:
             code, space = dispatcher.py_func.__code__, dispatcher.py_func.__globals__
             todo += [space[name] for name in code.co_names if isinstance(space.get(name), Dispatcher)]
     return found
+
+
+def bind(function: Any, *arguments: Any) -> Callable[..., Any]:
+    """Return a compiled function's machine code for arguments of these types, after one call with them.
+
+    A call of it looks no types up, which for two dozen arrays of records takes longer than one world's control step.
+    The caller answers for the types: they must stay the same.
+    """
+    function(*arguments)
+    if not hasattr(function, "py_func"):  # with NUMBA_DISABLE_JIT
+        return cast("Callable[..., Any]", function)
+    types = tuple(function.typeof_pyval(argument) for argument in arguments)
+    overload = function.overloads.get(types)
+    return cast("Callable[..., Any]", overload.entry_point if overload else function)
 
 
 def retarget(function: Any, decorate: Callable[[FunctionType], Any]) -> Any:

@@ -6,11 +6,11 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from impact_envs.compiled import announce
+from impact_envs.compiled import announce, bind
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, observed_order
 from impact_envs.free_flyer.schema import FreeFlyerScenario
@@ -131,6 +131,7 @@ class FreeFlyerExpert:
         self._arrays = tuple(self.memory), self._record, tuple(self.workspace), tuple(make_rest_qp())
         place = {name: i for i, name in enumerate(scenario.bodies)}
         self._order = [place[name] for name in observed_order(scenario, scenario.agents[0])]
+        self._call = bind(run_experts, *self._collect(START))
         self.reset(0)
         self.control()  # no control step has to wait for the compiler
         self.reset(0)
@@ -280,5 +281,9 @@ class FreeFlyerExpert:
         return dict(zip(self._scenario.agents, self._actions[0].copy(), strict=True))
 
     def _run(self, phase: int, row: int = 0) -> None:
+        self._call(*self._collect(phase, row))
+
+    def _collect(self, phase: int, row: int = 0) -> tuple[Any, ...]:
+        """Return the arguments of `run_experts`; their types are always the same."""
         arrays = self._joint, self._actions, self._due
-        cast(Any, run_experts)(tuple(self.table), *self._arrays, *arrays, phase, row, 0, 1)
+        return tuple(self.table), *self._arrays, *arrays, phase, row, 0, 1

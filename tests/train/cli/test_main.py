@@ -133,7 +133,7 @@ BAD = {
         ("run", "corridor", "--policy", "zero", "--set", "expert.retime=false"),
         ["expert.retime", "zero"],
     ),
-    "set option of arms": (("run", "dual_arm_grasp", "--set", "expert.retime=false"), ["dual_arm", "no options"]),
+    "set option of arms": (("run", "dual_arm_grasp", "--set", "expert.retime=false"), ["expert.retime", "controller."]),
     "set value": (("run", "corridor", "--set", "true.restitution=1.5"), ["true.restitution", "1.5"]),
     "policy": (("run", "corridor", "--policy", "experte"), ["experte", "expert"]),
     "suite": (("evaluate", "corridor", "--suite", "mas"), ["mas", "mass"]),

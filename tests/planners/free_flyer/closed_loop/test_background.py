@@ -51,7 +51,7 @@ def plan_of(name: str) -> Plan:
 @cache
 def answer(line: str) -> str:
     answers = StringIO()
-    answer_requests(OPTIONS, StringIO(line), answers)
+    answer_requests(StringIO(line), answers)
     return answers.getvalue()
 
 
@@ -476,13 +476,14 @@ def test_close_leaves_no_process(expert: FreeFlyerExpert) -> None:
 
 def request(number: int, **values: object) -> str:
     scenario = load("throw_and_catch").override(values)
-    return json.dumps({"number": number, "scenario": scenario.model_dump(mode="json"), "impacts": 2}) + "\n"
+    asked = {"number": number, "scenario": scenario.model_dump(mode="json"), "impacts": 2, "time_limit": 6.0}
+    return json.dumps(asked) + "\n"
 
 
 def test_requests_are_answered_line_by_line() -> None:
     away = {"objects.pop.start_velocity": [0.5, 0.5]}
     answers = StringIO()
-    answer_requests(OPTIONS, StringIO(request(3) + request(5, **away)), answers)
+    answer_requests(StringIO(request(3) + request(5, **away)), answers)
     found = [json.loads(line) for line in answers.getvalue().splitlines()]
     assert [line["number"] for line in found] == [3, 5]
     assert found[1]["plan"] is None
@@ -494,7 +495,7 @@ def test_requests_are_answered_line_by_line() -> None:
 
 def test_no_requests_no_answers() -> None:
     answers = StringIO()
-    answer_requests(OPTIONS, StringIO(""), answers)
+    answer_requests(StringIO(""), answers)
     assert answers.getvalue() == ""
 
 
@@ -506,7 +507,7 @@ def test_requests_without_an_answer_are_null(monkeypatch: pytest.MonkeyPatch) ->
 
         monkeypatch.setattr(background, "plan_rest", fail)
         answers = StringIO()
-        answer_requests(OPTIONS, StringIO(request(7)), answers)
+        answer_requests(StringIO(request(7)), answers)
         assert json.loads(answers.getvalue()) == {"number": 7, "plan": None}
 
 

@@ -163,7 +163,7 @@ def test_replans_every_half_second_in_the_window(loop: Loop) -> None:
 
 
 def test_published_code_plans_each_impact_once(loop: Loop) -> None:
-    once, times = VARIANTS["one_replan"], []
+    once, times = make_record(VARIANTS["one_replan"])[0], []
     for k in range(100):
         if should_replan(loop.memory, once, K, SNAP, 0, 0.1 * k):
             loop.strike[0]["replanned_at"] = 0.1 * k
@@ -338,7 +338,7 @@ def test_variants_without_learning_keep_what_is_believed(loop: Loop) -> None:
     loop.feel(SNAP, 0.1)
     loop.contact(SNAP, POP, 10.0)
     loop.see_at(12.0, POP, (0, 0), (0.05, 0.0))
-    learn_from_hits(loop.table, loop.memory, VARIANTS["paper_expert"], K, 12.0)
+    learn_from_hits(loop.table, loop.memory, make_record(VARIANTS["paper_expert"])[0], K, 12.0)
     assert loop.gain(SNAP, 0) == pytest.approx(0.9, abs=1e-12)
     assert loop.hit[0]["ratio"] == pytest.approx(0.05 / 0.09)  # it is seen all the same, for learners
 

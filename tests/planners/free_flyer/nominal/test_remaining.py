@@ -77,7 +77,7 @@ def test_the_expert_expects_the_start_velocity() -> None:
     scenario = _drift((-0.03, 0.0))
     expert = make_expert(scenario, make_plan(scenario))
     expert.reset(0)
-    np.testing.assert_allclose(expert.memory.filter[0, -1, 2:4], [-0.03, 0.0], atol=1e-12)
+    np.testing.assert_allclose(expert.memory.filter[0, -1]["velocity"], [-0.03, 0.0], atol=1e-12)
 
 
 def test_an_object_that_need_not_rest_may_fly_on_and_one_that_must_is_hit() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -257,10 +258,10 @@ def test_problem_beside_the_rules_for_parameters_is_refused() -> None:
 
 def test_tracker_by_name_argument_and_options() -> None:
     assert make(None).options == EXPERT
-    assert make("lqr").options == EXPERT._replace(tracker="lqr")
+    assert make("lqr").options == replace(EXPERT, tracker="lqr")
     scenario, plan = load_scenario(SCENARIO), get_plan(SCENARIO, "nominal")
     assert plan is not None
-    expert = FreeFlyerExpert(scenario, plan, options=EXPERT._replace(tracker="lqr"), tracker="casadi")
+    expert = FreeFlyerExpert(scenario, plan, options=replace(EXPERT, tracker="lqr"), tracker="casadi")
     assert expert.options.tracker == "casadi"
     assert make(Recorder()).options.tracker == "own"
 
