@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -14,15 +15,38 @@ from planners.dual_arm.torque_qp import (
     NORMAL,
     QDD,
     TANGENTIAL,
-    Gains,
     TorqueQP,
     clear_cost,
     write_arm_motion,
 )
 
 
+class PostGains(NamedTuple):
+    """Gains and weights after the impact, see `options.ControllerOptions`, and what is believed of box and pads.
+
+    Attributes:
+        friction: of the pads.
+        mass, inertia: of the box [kg], [kg m^2].
+        gravity: along -y [m/s^2].
+        half_height: of a pad [m].
+    """
+
+    k_p_post: float
+    k_theta_post: float
+    w_p_post: float
+    w_theta_post: float
+    w_share: float
+    w_normal: float
+    grip: float
+    friction: float
+    mass: float
+    inertia: float
+    gravity: float
+    half_height: float
+
+
 @njit(cache=True)
-def build_post(qp: TorqueQP, terms: Terms, field: PostField, gains: Gains, box: np.ndarray) -> None:
+def build_post(qp: TorqueQP, terms: Terms, field: PostField, gains: PostGains, box: np.ndarray) -> None:
     """Build the post-impact program: move the box along its velocity field, held by four rigid contacts.
 
     min w_p |p_b'' - a_ref - k_p (v_ref - p_b')|^2 + w_theta (...)^2 + w_share ((l_1 - l_2)^2 + (l_3 - l_4)^2)
@@ -55,7 +79,7 @@ def build_post(qp: TorqueQP, terms: Terms, field: PostField, gains: Gains, box: 
 
 
 @njit(cache=True)
-def write_contact(qp: TorqueQP, terms: Terms, gains: Gains, box: np.ndarray, k: int) -> None:
+def write_contact(qp: TorqueQP, terms: Terms, gains: PostGains, box: np.ndarray, k: int) -> None:
     """Write contact k: its forces in the motion of arm and box, no relative acceleration, its friction cone.
 
     With r = R' (c - p_b): r'' = R' (c'' - p_b'' - omega' S r - 2 omega S (c' - p_b') - omega^2 r), and the gap
@@ -104,7 +128,7 @@ def assemble_post(
     qp: TorqueQP,
     terms: Terms,
     field: PostField,
-    gains: Gains,
+    gains: PostGains,
     arms: np.ndarray,
     q: np.ndarray,
     v: np.ndarray,

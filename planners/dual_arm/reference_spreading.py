@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from contextlib import suppress
+from dataclasses import fields
 from typing import Literal
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.errors import InputError
 from planners.dual_arm.dense_qp import get_solver, relax_contacts
-from planners.dual_arm.grasp_qp import assemble_post
+from planners.dual_arm.grasp_qp import PostGains, assemble_post
 from planners.dual_arm.options import EXPERT, ControllerOptions
 from planners.dual_arm.reference import (
     AnteField,
@@ -27,7 +28,8 @@ from planners.dual_arm.torque_qp import (
     FREE,
     GRASP,
     QDD,
-    Gains,
+    AnteGains,
+    InterimGains,
     TorqueQP,
     assemble_ante,
     assemble_interim,
@@ -39,18 +41,20 @@ FADED = 20.0  # time constants after which e^-20 = 2e-9 is left of a step
 Phase = Literal["ante", "interim", "post"]
 
 
-def make_gains(scenario: DualArmScenario, options: ControllerOptions) -> Gains:
-    """Collect gains and weights of the programs, and what is believed of the box and the pads."""
-    chosen = {name: float(getattr(options, name)) for name in Gains._fields if hasattr(options, name)}
-    gains = Gains(
-        **chosen,
+def make_gains(scenario: DualArmScenario, options: ControllerOptions) -> tuple[AnteGains, InterimGains, PostGains]:
+    """Return gains and weights of the three programs, and what they need of the believed box and pads."""
+    chosen = {field.name: getattr(options, field.name) for field in fields(options)}
+    ante = AnteGains(*(chosen[name] for name in AnteGains._fields))
+    interim = InterimGains(*(chosen[name] for name in InterimGains._fields))
+    post = PostGains(
+        **{name: chosen[name] for name in PostGains._fields if name in chosen},
         friction=scenario.believed.friction,
         mass=scenario.box.mass,
         inertia=scenario.box.inertia,
         gravity=scenario.gravity,
         half_height=scenario.links.pad_half_height,
     )
-    return gains if options.synchronisation else gains._replace(w_sync=0.0)
+    return ante if options.synchronisation else ante._replace(w_sync=0.0), interim, post
 
 
 def make_ante_field(scenario: DualArmScenario, options: ControllerOptions) -> AnteField:
@@ -125,7 +129,7 @@ class ReferenceSpreading:
         self._tick = scenario.control_period
         self._limits = np.array([scenario.links.torque_limits] * 2, dtype=float)
         self._arms = scenario.arm_numbers()
-        self._nominal = make_gains(scenario, options)
+        self._ante_gains, self._interim_gains, self._nominal = make_gains(scenario, options)
         self.field = make_ante_field(scenario, options)
         self._target = scenario.target.array
         self._free, self._grasp = make_torque_qp(FREE, self._limits), make_torque_qp(GRASP, self._limits)
@@ -146,7 +150,7 @@ class ReferenceSpreading:
         self._heights: np.ndarray | None = None
         self._integrated = np.zeros((2, 3))
         self.post_field: PostField | None = None
-        self._gains = self._nominal
+        self._post_gains = self._nominal
 
     @property
     def ticks_of_grasp(self) -> int:
@@ -166,7 +170,7 @@ class ReferenceSpreading:
             weight: factor on the box's believed mass and inertia.
         """
         nominal = self._nominal
-        self._gains = nominal._replace(
+        self._post_gains = nominal._replace(
             grip=grip * nominal.grip, mass=weight * nominal.mass, inertia=weight * nominal.inertia
         )
 
@@ -191,18 +195,19 @@ class ReferenceSpreading:
         self._update_phase(q, v, forces.tolist())
         if self.phase == "ante":
             ramp = self._compute_ramp()
-            assemble_ante(self._free, self._terms, self.field, self._gains, self._arms, q, v, ramp)
+            assemble_ante(self._free, self._terms, self.field, self._ante_gains, self._arms, q, v, ramp)
             torques = self._solve_torques(self._free)
         elif self.phase == "interim":
             press = self.options.press * self._compute_rise(self.options.press_rise)
             assemble_interim(
-                *(self._free, self._terms, self.field, self._gains, self._arms, q, v),
+                *(self._free, self._terms, self.field, self._interim_gains, self._arms, q, v),
                 *(self._integrated, press, self._tick),
             )
             torques = self._solve_torques(self._free)
         else:
             assert self.post_field is not None
-            assemble_post(self._grasp, self._terms, self.post_field, self._gains, self._arms, q, v, self.box)
+            gains = self._post_gains
+            assemble_post(self._grasp, self._terms, self.post_field, gains, self._arms, q, v, self.box)
             torques = self._fade_step(self._solve_torques(self._grasp))
         self._count += 1
         self._last = torques

@@ -28,18 +28,8 @@ EQUALITIES = {FREE: 6, GRASP: 15}
 REGULARISATION = 1e-8
 
 
-class Gains(NamedTuple):
-    """Gains and weights of the three programs, then what is believed of friction, box and pads.
-
-    Attributes:
-        k_p ... w_sync: before the impact, see `options.ControllerOptions`.
-        k_int ... w_theta_int: in the interim phase.
-        k_p_post ... grip: after the impact.
-        friction: of the pads.
-        mass, inertia: of the box [kg], [kg m^2].
-        gravity: along -y [m/s^2].
-        half_height: of a pad [m].
-    """
+class AnteGains(NamedTuple):
+    """Gains and weights before the impact, see `options.ControllerOptions`."""
 
     k_p: float
     k_theta: float
@@ -48,22 +38,15 @@ class Gains(NamedTuple):
     w_p: float
     w_theta: float
     w_sync: float
+
+
+class InterimGains(NamedTuple):
+    """Gains and weights of the interim phase, see `options.ControllerOptions`."""
+
     k_int: float
     k_theta_int: float
     w_p_int: float
     w_theta_int: float
-    k_p_post: float
-    k_theta_post: float
-    w_p_post: float
-    w_theta_post: float
-    w_share: float
-    w_normal: float
-    grip: float
-    friction: float
-    mass: float
-    inertia: float
-    gravity: float
-    half_height: float
 
 
 class TorqueQP(NamedTuple):
@@ -153,7 +136,7 @@ def add_arm_task(qp: TorqueQP, terms: Terms, i: int, r: int, weight: float, targ
 
 
 @njit(cache=True)
-def build_ante(qp: TorqueQP, terms: Terms, field: AnteField, gains: Gains, ramp: float) -> None:
+def build_ante(qp: TorqueQP, terms: Terms, field: AnteField, gains: AnteGains, ramp: float) -> None:
     """Build the ante-impact program: follow the velocity field, and keep the pads mirror images of each other.
 
     min sum_i w_p |p_i'' - a_ref - k_p (v_ref - p_i')|^2 + w_theta (...)^2
@@ -182,7 +165,7 @@ def build_ante(qp: TorqueQP, terms: Terms, field: AnteField, gains: Gains, ramp:
 
 
 @njit(cache=True)
-def add_synchronisation(qp: TorqueQP, terms: Terms, field: AnteField, gains: Gains, ramp: float) -> None:
+def add_synchronisation(qp: TorqueQP, terms: Terms, field: AnteField, gains: AnteGains, ramp: float) -> None:
     """Add the task that keeps pad 2 the mirror image of pad 1 about the box's y axis.
 
     Source: van Steen et al., Eqs. 22 to 25.
@@ -205,7 +188,7 @@ def add_synchronisation(qp: TorqueQP, terms: Terms, field: AnteField, gains: Gai
 
 @njit(cache=True)
 def build_interim(
-    qp: TorqueQP, terms: Terms, field: AnteField, gains: Gains, integrated: np.ndarray, press: float
+    qp: TorqueQP, terms: Terms, field: AnteField, gains: InterimGains, integrated: np.ndarray, press: float
 ) -> None:
     """Build the interim program: feedforward of the ante-impact reference, feedback of position only.
 
@@ -239,7 +222,7 @@ def assemble_ante(
     qp: TorqueQP,
     terms: Terms,
     field: AnteField,
-    gains: Gains,
+    gains: AnteGains,
     arms: np.ndarray,
     q: np.ndarray,
     v: np.ndarray,
@@ -261,7 +244,7 @@ def assemble_interim(
     qp: TorqueQP,
     terms: Terms,
     field: AnteField,
-    gains: Gains,
+    gains: InterimGains,
     arms: np.ndarray,
     q: np.ndarray,
     v: np.ndarray,

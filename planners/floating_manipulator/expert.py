@@ -23,7 +23,7 @@ from planners.floating_manipulator.correction import (
     scale_correction,
 )
 from planners.floating_manipulator.options import Options, get_options
-from planners.floating_manipulator.osdre import OutputRegulator
+from planners.floating_manipulator.output_regulator import OutputRegulator
 from planners.floating_manipulator.pulses import Thrusters
 
 Phase = Literal["before", "pause", "after"]

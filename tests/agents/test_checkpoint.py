@@ -18,10 +18,10 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from agents import ResidualPolicy
+from agents import ResidualPolicy, sb3
 from agents.actor import Actor, PolicyRecord, load_policy, save_policy
 from agents.checkpoint import write_atomically
-from agents.sb3 import export_actor, start_at_expert
+from agents.sb3 import ALGORITHMS, LearningOptions, export_actor, start_at_expert
 from agents.training_state import load_training, save_training
 from impact_envs import InputError
 from planners.free_flyer.expert import FreeFlyerExpert
@@ -123,6 +123,27 @@ def test_exported_actor_is_the_models_deterministic_policy(algorithm: str) -> No
     predicted, _ = model.predict(envs.normalize_obs(features), deterministic=True)
     corrections = np.array([actor.correction(row) for row in features])
     np.testing.assert_allclose(corrections, predicted, atol=1e-6)
+    assert np.ptp(corrections) > 1e-3
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_every_algorithm_starts_at_the_expert_and_continues_after_a_stop(tmp_path: Path, name: str) -> None:
+    options = LearningOptions(hidden=(8, 4), learning_rate=1e-2, rollout=16, batch=8, log_std=-1.2, seed=0)
+    models = []
+    for _ in range(2):
+        envs = VecNormalize(DummyVecEnv([Target, Target]), norm_reward=False)
+        models.append((sb3.make_model(name, envs, options), envs))
+        assert np.array_equal(export_actor(*models[-1]).correction(np.full(5, 7.0)), np.zeros(2))
+    (model, envs), (other, other_envs) = models
+    assert sb3.find_name(model) == name
+    model.learn(64)
+    save_training(tmp_path, model, envs, {}, [])
+    assert load_training(tmp_path, other, other_envs).algorithm == name
+    actor, again = export_actor(model, envs), export_actor(other, other_envs)
+    assert actor.squash == ALGORITHMS[name].squash
+    features = np.random.default_rng(0).normal(3.0, 2.0, size=(20, SIZES[0]))
+    corrections = np.array([actor.correction(row) for row in features])
+    np.testing.assert_array_equal(corrections, [again.correction(row) for row in features])
     assert np.ptp(corrections) > 1e-3
 
 

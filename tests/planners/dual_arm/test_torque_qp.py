@@ -18,7 +18,8 @@ from planners.errors import Infeasible
 
 PATH = Path(impact_envs.__file__).parent / "dual_arm" / "scenarios" / "dual_arm_grasp.toml"
 SCENARIO = DualArmScenario.model_validate(tomllib.loads(PATH.read_text()))
-ARMS, GAINS = SCENARIO.arm_numbers(), make_gains(SCENARIO, EXPERT.controller)
+ARMS = SCENARIO.arm_numbers()
+ANTE_GAINS, INTERIM_GAINS, POST_GAINS = make_gains(SCENARIO, EXPERT.controller)
 LIMITS = np.array([SCENARIO.links.torque_limits] * 2)
 FIELD = make_ante_field(SCENARIO, EXPERT.controller)
 POST = PostField(
@@ -39,13 +40,13 @@ def near_impact(rng: np.random.Generator, spread: float) -> tuple[np.ndarray, np
 
 def ante(q: np.ndarray, v: np.ndarray) -> TorqueQP:
     program = make_torque_qp(FREE, LIMITS)
-    assemble_ante(program, make_terms(), FIELD, GAINS, ARMS, q, v, 1.0)
+    assemble_ante(program, make_terms(), FIELD, ANTE_GAINS, ARMS, q, v, 1.0)
     return program
 
 
 def post(q: np.ndarray, v: np.ndarray) -> TorqueQP:
     program = make_torque_qp(GRASP, LIMITS)
-    assemble_post(program, make_terms(), POST, GAINS, ARMS, q, v, np.zeros(6))
+    assemble_post(program, make_terms(), POST, POST_GAINS, ARMS, q, v, np.zeros(6))
     return program
 
 
@@ -55,7 +56,7 @@ def programs(seed: int) -> list[TorqueQP]:
     interim = make_torque_qp(FREE, LIMITS)
     q, v = states[0]
     integrated = SCENARIO.contact_poses(SCENARIO.box.start.array)
-    assemble_interim(interim, make_terms(), FIELD, GAINS, ARMS, q, v, integrated, 10.0, 1e-3)
+    assemble_interim(interim, make_terms(), FIELD, INTERIM_GAINS, ARMS, q, v, integrated, 10.0, 1e-3)
     return [ante(q, v) for q, v in states] + [interim] + [post(q, v) for q, v in states]
 
 
@@ -105,7 +106,7 @@ def test_the_interim_phase_begins_where_the_ante_phase_ended():
         [np.linalg.solve(terms.J[i], [*compute_ante_velocity(FIELD, i, *poses[i, :2]), 0.0]) for i in range(2)]
     )
     interim = make_torque_qp(FREE, LIMITS)
-    assemble_interim(interim, make_terms(), FIELD, GAINS, ARMS, q, v, poses.copy(), 0.0, 1e-3)
+    assemble_interim(interim, make_terms(), FIELD, INTERIM_GAINS, ARMS, q, v, poses.copy(), 0.0, 1e-3)
     solve = get_solver()
     assert solve(interim)[:6] == pytest.approx(solve(ante(q, v))[:6], abs=1e-4)
 
@@ -118,11 +119,12 @@ def test_a_mirrored_state_gets_mirrored_torques():
     seen[:, 0] += np.pi
     solve = get_solver()
     centred = POST._replace(target=np.array([0.0, 0.6, 0.0]))
-    for size, build, field in ((FREE, assemble_ante, FIELD), (GRASP, assemble_post, centred)):
+    cases = ((FREE, assemble_ante, FIELD, ANTE_GAINS), (GRASP, assemble_post, centred, POST_GAINS))
+    for size, build, field, gains in cases:
         one, other = make_torque_qp(size, LIMITS), make_torque_qp(size, LIMITS)
         extra = 1.0 if size is FREE else np.zeros(6)
-        build(one, make_terms(), field, GAINS, ARMS, q, v, extra)
-        build(other, make_terms(), field, GAINS, ARMS, seen, seen_v, extra)
+        build(one, make_terms(), field, gains, ARMS, q, v, extra)
+        build(other, make_terms(), field, gains, ARMS, seen, seen_v, extra)
         assert solve(other)[:6].reshape(2, 3) == pytest.approx(-solve(one)[:6].reshape(2, 3)[::-1], abs=1e-5)
 
 

@@ -15,13 +15,13 @@ from impact_envs.physics.multibody import (
 )
 from planners.floating_manipulator.options import RegulatorOptions
 from planners.floating_manipulator.osdre import (
-    OutputRegulator,
     OutputScratch,
     compute_authority,
     compute_base_rates,
     compute_output_dynamics,
     fill_coefficients,
 )
+from planners.floating_manipulator.output_regulator import OutputRegulator
 
 LINK = (2.0, 0.6667, 2.0, 1.0)
 
