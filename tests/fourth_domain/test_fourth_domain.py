@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from train.evaluate import evaluate
 
 import impact_envs
 import planners
@@ -18,7 +17,8 @@ from impact_envs.domain import list_domains
 from impact_envs.errors import InputError
 from impact_envs.rollout import RandomPolicy, ZeroPolicy
 from planners import has_planner, list_options, list_variants, make_expert, make_plan
-from train.cli import main
+from train.cli.main import main
+from train.evaluation.evaluate import evaluate
 
 HERE = Path(__file__).parent
 FILE = HERE / "impact_envs" / "point_mass" / "scenarios" / "slide.toml"
