@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, inlined
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain, get_pair
 from planners.free_flyer.belief.options import BY_LQR, BY_MPC, Options
 from planners.free_flyer.belief.plan_table import PlanTable
@@ -37,7 +37,7 @@ def track_course(
     apply_solution(plan, memory, options, workspace, c, k, r, o, actions)
 
 
-@compiled
+@inlined
 def fill_state(memory: WorldMemory, workspace: Workspace, c: int, k: int, r: int) -> None:
     """Write robot r's estimated state into the tracking problem."""
     z, heading, state = memory.filter[k, r], memory.heading[k, r], workspace.state[c]
@@ -45,7 +45,7 @@ def fill_state(memory: WorldMemory, workspace: Workspace, c: int, k: int, r: int
     state[3], state[4], state[5] = z.velocity[0], z.velocity[1], heading.rate
 
 
-@compiled
+@inlined
 def apply_solution(
     plan: PlanTable,
     memory: WorldMemory,
@@ -103,7 +103,7 @@ def apply_solution(
     memory.push[k, r, 1] = (sin * fx + cos * fy) * pilot[GAIN]
 
 
-@compiled
+@inlined
 def feed_back(
     plan: PlanTable, memory: WorldMemory, workspace: Workspace, c: int, k: int, r: int, actions: np.ndarray
 ) -> None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, inlined
 from impact_envs.free_flyer.sensing import BODY_SIZE
 from planners.free_flyer.belief.estimator import open_filters, update_estimates
 from planners.free_flyer.belief.options import Options
@@ -137,7 +137,7 @@ def prepare_robot(plan: PlanTable, memory: WorldMemory, options: Options, worksp
     fill_reference(plan, memory, workspace, r, k, r, o)
 
 
-@compiled
+@inlined
 def take_corrections(plan: PlanTable, memory: WorldMemory, options: Options, k: int) -> None:
     """Take the corrections that are due as they are now; the courses to their impacts are planned anew."""
     now = memory.time[k]
@@ -149,7 +149,7 @@ def take_corrections(plan: PlanTable, memory: WorldMemory, options: Options, k: 
         due = find_due(plan, memory, options, k, now)
 
 
-@compiled
+@inlined
 def replan_robot(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int) -> int:
     """Replan robot r's course where it is time to; return the object it is to hit, or NO_OBJECT."""
     now = memory.time[k]
