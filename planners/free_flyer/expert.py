@@ -12,8 +12,9 @@ import numpy as np
 
 from impact_envs.compiled import announce, bind
 from impact_envs.errors import InputError
-from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE, observed_order
+from impact_envs.free_flyer.observation import join_observations, make_joint_layout
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.physics.impact import compute_velocity_gain
 from impact_envs.rollout import Diagnostics
 from planners.correction import check_correction
 from planners.free_flyer.belief.estimator import extrapolate_flight
@@ -23,7 +24,6 @@ from planners.free_flyer.belief.plan_table import NO_IMPACT, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
 from planners.free_flyer.closed_loop.world_loop import ADOPT, APPLY, CONTROL, OBSERVE, PREPARE, START, run_experts
-from planners.free_flyer.impact_law import compute_velocity_gain
 from planners.free_flyer.next_impact.desired_velocity import choose_desired_velocity, find_next_knot
 from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
@@ -118,19 +118,17 @@ class FreeFlyerExpert:
         self.options = replace(chosen, tracker=name)
         self._scenario = scenario.as_believed()
         self.table = make_plan_table(self._scenario, plan)
-        robots, bodies = len(scenario.robots), len(scenario.bodies)
+        robots = len(scenario.robots)
         self.memory = make_world_memory(self.table, 1)
         self.workspace = make_workspace(1 if self._tracker is None else robots)
         period = scenario.control_period
         self._problems = {name: build_tracking_problem(robot, period) for name, robot in self._scenario.robots.items()}
-        self._joint = np.zeros((1, BODY_SIZE * bodies + robots + TAIL_SIZE - 1))
+        self._joint = np.zeros((1, make_joint_layout(scenario).size))
         self._actions, self._due = np.zeros((1, robots, 3)), np.full(1, NO_OBJECT)
         self._planned = self.table
         self._background = Background(self._scenario, self.options)
         self._record = make_record(self.options)
         self._arrays = tuple(self.memory), self._record, tuple(self.workspace), tuple(make_rest_qp())
-        place = {name: i for i, name in enumerate(scenario.bodies)}
-        self._order = [place[name] for name in observed_order(scenario, scenario.agents[0])]
         self._call = bind(run_experts, *self._collect(START))
         self.reset(0)
         self.control()  # no control step has to wait for the compiler
@@ -174,15 +172,7 @@ class FreeFlyerExpert:
                 self.table = table
                 self._run(ADOPT)
         begin = time.perf_counter()
-        joint, agents = self._joint[0], self._scenario.agents
-        bodies = BODY_SIZE * len(self._order)
-        blocks = joint[:bodies].reshape(-1, BODY_SIZE)
-        first = observations[agents[0]]
-        blocks[self._order] = first[:bodies].reshape(-1, BODY_SIZE)
-        for i, name in enumerate(agents):
-            blocks[i] = observations[name][:BODY_SIZE]
-            joint[bodies + i] = observations[name][-TAIL_SIZE]
-        joint[bodies + len(agents) :] = first[-TAIL_SIZE + 1 :]
+        join_observations(self._scenario, observations, self._joint[0])
         self._run(OBSERVE)
         self._seconds = time.perf_counter() - begin
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from impact_envs.compiled import announce
 from impact_envs.errors import InputError
-from impact_envs.free_flyer.observation import BODY_SIZE, TAIL_SIZE
+from impact_envs.free_flyer.observation import make_joint_layout
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.sensing import TIME, find_shared_place
 from planners.free_flyer.belief.options import Options, get_options, make_record
 from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_world_memory
@@ -57,7 +58,8 @@ class FreeFlyerExpertBatch:
             raise InputError(f"count = {count}: at least 1 world is needed")
         announce(run_experts)
         self.count, self.robots = count, len(scenario.robots)
-        self.size = BODY_SIZE * len(scenario.bodies) + self.robots + TAIL_SIZE - 1
+        self.size = make_joint_layout(scenario).size
+        self._clock = find_shared_place(len(scenario.bodies), self.robots) + TIME
         believed = scenario.as_believed()
         self._table, self._own = make_plan_table(believed, plan), dict[int, PlanTable]()
         self.memory = make_world_memory(self._table, count)
@@ -92,7 +94,7 @@ class FreeFlyerExpertBatch:
         if joint.shape != (self.count, self.size):
             raise InputError(f"observations have shape {joint.shape}; ({self.count}, {self.size}) is needed")
         actions = np.empty((self.count, self.robots, 3))
-        for k in np.flatnonzero(joint[:, self.size - 3] == 0.0).tolist():  # starts anew
+        for k in np.flatnonzero(joint[:, self._clock] == 0.0).tolist():  # starts anew
             self._own.pop(k, None)
             self._background.forget_world(k)
             self.memory.wanted[k] = np.inf

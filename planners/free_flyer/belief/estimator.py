@@ -11,12 +11,12 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled
-from impact_envs.free_flyer.sensing import BODY_SIZE
+from impact_envs.free_flyer.sensing import BODY_SIZE, COS, OMEGA, SIN, VX, VY, X, Y, find_contact_place
+from impact_envs.physics.impact import compute_velocity_gain
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain, get_pair, learn_velocity_error
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.world_memory import BLANK_FILTER, NOBODY, UNKNOWN, WorldMemory
-from planners.free_flyer.impact_law import compute_velocity_gain
 
 
 @compiled
@@ -152,7 +152,7 @@ def update_estimates(
     calm = True
     for i in range(r):
         memory.touch[k, i] = NOBODY
-        if joint[k, BODY_SIZE * n + i] > 0.5:
+        if joint[k, find_contact_place(n, i)] > 0.5:
             calm = False
             other = find_nearest(plan, memory, options, k, i)
             memory.touch[k, i] = other
@@ -171,7 +171,7 @@ def update_estimates(
     variance = memory.sensor[k].sigma * memory.sensor[k].sigma
     for i in range(n):
         z, at = memory.filter[k, i], BODY_SIZE * i
-        miss = math.hypot(joint[k, at] - z.position[0], joint[k, at + 1] - z.position[1])
+        miss = math.hypot(joint[k, at + X] - z.position[0], joint[k, at + Y] - z.position[1])
         if (
             math.isfinite(miss)
             and miss > options.estimation.surprise * math.sqrt(z.P_pp + variance) + options.estimation.surprise_floor
@@ -189,14 +189,14 @@ def update_estimates(
             memory.counts[k].no_measurement += 1
             continue
         if calm:
-            dx, dy = joint[k, at + 2] - z.velocity[0], joint[k, at + 3] - z.velocity[1]
+            dx, dy = joint[k, at + VX] - z.velocity[0], joint[k, at + VY] - z.velocity[1]
             learn_velocity_error(memory, options, k, i, dx * dx + dy * dy, slow * slow * variance)
-        correct_position(z, joint[k, at], joint[k, at + 1], variance)
-        correct_velocity(z, joint[k, at + 2], joint[k, at + 3], slow * slow * variance)
+        correct_position(z, joint[k, at + X], joint[k, at + Y], variance)
+        correct_velocity(z, joint[k, at + VX], joint[k, at + VY], slow * slow * variance)
         # The measured angle is only known up to whole turns.
-        turn = math.atan2(joint[k, at + 5], joint[k, at + 4]) - plan.body[i].heading
+        turn = math.atan2(joint[k, at + SIN], joint[k, at + COS]) - plan.body[i].heading
         turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
-        memory.heading[k, i].angle, memory.heading[k, i].rate = plan.body[i].heading + turn, joint[k, at + 6]
+        memory.heading[k, i].angle, memory.heading[k, i].rate = plan.body[i].heading + turn, joint[k, at + OMEGA]
 
 
 @compiled
@@ -251,7 +251,7 @@ def learn_noise(memory: WorldMemory, options: Options, k: int, joint: np.ndarray
     samples = sensor.samples if calm else 0
     for o in range(objects):
         recent, at = memory.recent[k, o], BODY_SIZE * (robots + o)
-        x, y = joint[k, at], joint[k, at + 1]
+        x, y = joint[k, at + X], joint[k, at + Y]
         if samples >= 3:
             dx = x - 3.0 * recent[2, 0] + 3.0 * recent[1, 0] - recent[0, 0]
             dy = y - 3.0 * recent[2, 1] + 3.0 * recent[1, 1] - recent[0, 1]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
-from impact_envs.free_flyer.sensing import BODY_SIZE
+from impact_envs.free_flyer.sensing import TIME, find_shared_place
 from planners.free_flyer.belief.estimator import open_filters, update_estimates
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
@@ -82,7 +82,7 @@ def observe_world(
     Returns:
         The object whose coming impact's correction is due, or NO_OBJECT.
     """
-    now = joint[k, BODY_SIZE * len(plan.body) + plan.robots] * plan.horizon
+    now = joint[k, find_shared_place(len(plan.body), plan.robots) + TIME] * plan.horizon
     if not math.isfinite(now):
         now = memory.time[k] + plan.period
     remember_before(plan, memory, k)
@@ -242,7 +242,7 @@ def run_experts(
     """
     plan_, memory_ = PlanTable(*plan), WorldMemory(*memory)
     options_, workspace_, qp_ = options[0], Workspace(*workspace), RestQP(*qp)
-    clock = joint.shape[1] - 3
+    clock = find_shared_place(len(plan_.body), plan_.robots) + TIME
     for k in range(first, end):
         if phase == START or (phase == ACT and joint[k, clock] == 0.0):
             start_world(plan_, memory_, options_, k)

@@ -10,7 +10,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from impact_envs.compiled import compiled
-from planners.free_flyer.impact_law import compute_velocity_gain
+from impact_envs.physics.impact import compute_velocity_gain
 
 Pair = tuple[float, float]
 

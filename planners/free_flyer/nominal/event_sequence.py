@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.physics.impact import compute_mass_fractions
 from planners.bezier import Curve
 from planners.errors import Infeasible
-from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.reserves import Reserves
 from planners.plan import PlannedImpact
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.physics.impact import compute_mass_fractions
 from planners.bezier import Curve
-from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.published.encoding_rows import BezierModel, build_bezier_model, differentiate
 from planners.mixed_integer import Affine, evaluate
 from planners.solvers import Squares, check_solver, solve

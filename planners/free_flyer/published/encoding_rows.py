@@ -10,9 +10,9 @@ import numpy as np
 
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
+from impact_envs.physics.impact import compute_mass_fractions
 from impact_envs.stl import Always, And, Eventually, Formula, In, Not
 from planners.errors import Infeasible
-from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.mixed_integer import Affine, Model
 
 ROBOT_DEGREE, OBJECT_DEGREE = 5, 1

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.physics.impact import compute_mass_fractions
 from planners.errors import Infeasible
-from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.robust.conditions import Conditions
 from planners.free_flyer.specification.direction import AXES

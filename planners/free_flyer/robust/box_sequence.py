@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners.free_flyer.impact_law import compute_mass_fractions
+from impact_envs.physics.impact import compute_mass_fractions
 from planners.plan import Tube
 
 VERTICES = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # which end of x and of y: (x-,y-), (x-,y+), (x+,y-), (x+,y+)

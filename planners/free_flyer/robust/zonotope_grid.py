@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners.free_flyer.impact_law import compute_mass_fractions
+from impact_envs.physics.impact import compute_mass_fractions
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.robust.box_grid import BoxGrid, ObjectLegs, PositionBox, make_grid
 from planners.free_flyer.robust.conditions import Conditions

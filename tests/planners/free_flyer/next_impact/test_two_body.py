@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from planners.free_flyer.impact_law import compute_velocity_gain
+from impact_envs.physics.impact import compute_velocity_gain
 from planners.free_flyer.next_impact.two_body import Outcome, TwoBodyImpact, solve_two_body_impact
 
 NO_LIMIT = 1e3

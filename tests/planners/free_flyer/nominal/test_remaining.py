@@ -8,10 +8,10 @@ import pytest
 from impact_envs import parallel_env, rollout
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.physics.impact import compute_mass_fractions
 from impact_envs.scenario import load_scenario
 from planners import make_expert, make_plan
 from planners.errors import Infeasible
-from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.nominal.event_sequence import compute_speed_caps
 from planners.free_flyer.nominal.remaining import Past, make_remaining_scenario, plan_rest, progress_specification
 from planners.free_flyer.reserves import Reserves

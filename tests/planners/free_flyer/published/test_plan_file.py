@@ -8,11 +8,11 @@ import pytest
 from impact_envs.env import parallel_env
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.physics.impact import compute_mass_fractions
 from impact_envs.rollout import rollout
 from impact_envs.scenario import load_scenario
 from planners import make_expert
 from planners.bezier import Curve
-from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.published.conversion import convert_published_plan, make_published_plan
 from planners.free_flyer.published.curve import PublishedPlan
 from planners.free_flyer.published.impact import read_deviation, read_impacts

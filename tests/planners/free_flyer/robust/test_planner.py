@@ -5,10 +5,10 @@ import pytest
 
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.physics.impact import compute_mass_fractions
 from impact_envs.scenario import load_scenario
 from planners import make_plan
 from planners.errors import Infeasible
-from planners.free_flyer.impact_law import compute_mass_fractions
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.robust.conditions import Conditions
 from planners.free_flyer.robust.deviation_search import compute_ceiling, maximise_deviation
