@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar
 
@@ -84,7 +85,7 @@ def _convert(name: str, value: Any, present: Any) -> Any:
     if isinstance(present, bool) or isinstance(value, bool):
         fits = isinstance(present, bool) and isinstance(value, bool)
     elif isinstance(present, float):
-        fits = isinstance(value, int | float)
+        fits = isinstance(value, int | float) and math.isfinite(value)
         value = float(value) if fits else value
     elif isinstance(present, tuple):
         fits = isinstance(value, list | tuple) and len(value) == len(present)

@@ -134,6 +134,10 @@ BAD = {
         ["expert.retime", "zero"],
     ),
     "set option of arms": (("run", "dual_arm_grasp", "--set", "expert.retime=false"), ["expert.retime", "controller."]),
+    "set option to nothing": (
+        ("run", "corridor", "--set", "expert.insertion.wall=nan"),
+        ["expert.insertion.wall", "nan"],
+    ),
     "set value": (("run", "corridor", "--set", "true.restitution=1.5"), ["true.restitution", "1.5"]),
     "policy": (("run", "corridor", "--policy", "experte"), ["experte", "expert"]),
     "suite": (("evaluate", "corridor", "--suite", "mas"), ["mas", "mass"]),
