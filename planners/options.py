@@ -85,7 +85,7 @@ def _convert(name: str, value: Any, present: Any) -> Any:
     if isinstance(present, bool) or isinstance(value, bool):
         fits = isinstance(present, bool) and isinstance(value, bool)
     elif isinstance(present, float):
-        fits = isinstance(value, int | float) and math.isfinite(value)
+        fits = isinstance(value, int | float) and (math.isfinite(value) or value == present)  # inf stands for "never"
         value = float(value) if fits else value
     elif isinstance(present, tuple):
         fits = isinstance(value, list | tuple) and len(value) == len(present)
