@@ -176,7 +176,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _start_over(self, over: Any, output: Any, infos: dict[str, Any]) -> dict[str, Any]:
         """Start the next episode where one is over; return infos of its start, and of the end."""
-        ends = {"robustness", "_robustness", "success", "_success"}
+        ends = ("robustness", "_robustness", "success", "_success")
         final = {"final_obs": self._give(_copy(output.joint)), "final_info": infos}
         if self.per_robot:
             final |= {"final_agent_obs": self._give(_copy(output.agents))}

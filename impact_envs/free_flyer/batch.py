@@ -122,12 +122,7 @@ class Batch(BatchViews):
         check_size(count, sum({array.ctypes.data: array.nbytes for array in arrays}.values()))
         self._worlds, self._memory = self._make_worlds(count)
         self._log = np.zeros((count, 0, ROW))
-        shared = (self._formula, self._sensing, self._rules, self._memory)
-        self._arrays: tuple[Any, ...] = (
-            *map(tuple, (arena, self._worlds, self._scratch)),
-            self._log,
-            *map(tuple, shared),
-        )
+        self._collect()
         self._threads = len(self._scratch.motion)
         self._pool: ThreadPoolExecutor | None = None
         self._todo = np.zeros(count, np.int64)
@@ -193,7 +188,17 @@ class Batch(BatchViews):
             self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None}
+        return {**self.__dict__, "_pool": None, "_arrays": ()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._memory = view_signals(self._memory)  # copying makes arrays of views
+        self._collect()
+
+    def _collect(self) -> None:
+        """Collect the arrays that every step takes."""
+        owned, shared = (self._arena, self._worlds, self._scratch), (self._formula, self._sensing, self._rules)
+        self._arrays = (*map(tuple, owned), self._log, *map(tuple, (*shared, self._memory)))
 
     def make_output(self, agents: bool) -> Output:
         """Return fresh arrays for a step to fill.
@@ -236,7 +241,7 @@ class Batch(BatchViews):
         ideal = kept + drawn == 0
         memory = Memory(
             states=states,
-            signals=states.reshape(count, 6 * n),
+            signals=states,
             contacts=contacts,
             streams=np.zeros((count, 4), np.uint64),
             uniforms=np.zeros((count, drawn)),
@@ -246,7 +251,12 @@ class Batch(BatchViews):
             monitor=np.zeros((count, self._formula.size), dtype),
             bounds=np.zeros((count, 2), dtype),
         )
-        return make_worlds(self._arena, count, true.moves_bodies, true.changes_thrusters, dtype), memory
+        return make_worlds(self._arena, count, true.moves_bodies, true.changes_thrusters, dtype), view_signals(memory)
+
+
+def view_signals(memory: Memory) -> Memory:
+    """Return the memory with the monitor's signals as a view of the states."""
+    return memory._replace(signals=memory.states.reshape(len(memory.states), -1))
 
 
 def make_batch(

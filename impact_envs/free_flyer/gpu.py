@@ -150,6 +150,18 @@ class GpuBatch(BatchViews):
         dtype = self._memory.bounds.dtype
         return Output(*(torch.empty(shape, dtype=dtype, device=self.device) for shape in shapes))  # type: ignore[arg-type]
 
+    def __getstate__(self) -> dict[str, Any]:
+        arguments = self.scenario, self.count, self._last, self._host.dtype
+        groups = [_replace_arrays(group, lambda tensor: tensor.cpu().numpy()) for group in (self._worlds, self._memory)]
+        return {"arguments": arguments, "groups": groups}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(*state["arguments"])  # type: ignore[misc]
+        for tensors, arrays in zip((self._worlds, self._memory), state["groups"], strict=True):
+            for tensor, array in zip(tensors, arrays, strict=True):
+                if hasattr(tensor, "copy_"):
+                    tensor.copy_(torch.from_numpy(array))
+
     def _run(self, actions: torch.Tensor, todo: torch.Tensor, output: Output) -> None:
         worlds, memory = self._kept
         threads = min(THREADS, self.count)

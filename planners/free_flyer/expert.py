@@ -129,7 +129,7 @@ class FreeFlyerExpert:
         self._background = Background(self._scenario, self.options)
         self._record = make_record(self.options)
         self._arrays = tuple(self.memory), self._record, tuple(self.workspace), tuple(make_rest_qp())
-        self._call = bind(run_experts, *self._collect(START))
+        self._bind()
         self.reset(0)
         self.control()  # no control step has to wait for the compiler
         self.reset(0)
@@ -269,6 +269,17 @@ class FreeFlyerExpert:
         self._due[0] = NO_OBJECT
         self._solve_seconds.append(self._seconds + time.perf_counter() - begin)
         return dict(zip(self._scenario.agents, self._actions[0].copy(), strict=True))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_call"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._bind()
+
+    def _bind(self) -> None:
+        *arguments, first, _ = self._collect(START)
+        self._call = bind(run_experts, *arguments, first, first)  # of no world
 
     def _run(self, phase: int, row: int = 0) -> None:
         self._call(*self._collect(phase, row))

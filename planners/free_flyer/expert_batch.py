@@ -125,6 +125,9 @@ class FreeFlyerExpertBatch:
     ) -> None:
         cast(Any, run_experts)(tuple(table), *self._arrays, joint, actions, self._due, phase, thread, first, end)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pool": None}
+
     def close(self) -> None:
         """Let the threads and the background's process go; the next act starts new ones."""
         self._background.close()

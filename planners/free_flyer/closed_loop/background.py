@@ -15,8 +15,10 @@ import queue
 import subprocess
 import sys
 import threading
+import weakref
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TextIO, cast
+from typing import Any, TextIO, cast
 
 import numpy as np
 
@@ -40,20 +42,30 @@ class Request:
         number: of the request.
         begin: when the plan is taken over [s].
         scenario: what is left of the task then, in time that starts then.
+        question: the line that asks for it.
     """
 
     number: int
     begin: float
     scenario: FreeFlyerScenario
+    question: str
 
 
 class Background:
     """Ask for new plans and hand them over, world by world.
 
+    The process ends with its owner: at the end of the program, when the owner is forgotten, and within moments of the
+    owner's violent death. A copy, and what a fork leaves in the child, asks a process of its own for what is pending.
+
     Args:
         scenario: the whole task, as believed.
         options: of the closed loop.
     """
+
+    _worker: subprocess.Popen[str] | None
+    _end: weakref.finalize[..., Any] | None
+    _lines: queue.SimpleQueue[str]
+    _unasked: list[Request]
 
     def __init__(self, scenario: FreeFlyerScenario, options: Options = EXPERT) -> None:
         self._scenario, self._options = scenario, options
@@ -62,13 +74,12 @@ class Background:
         self._next: dict[int, float] = {}
         self._answers: dict[int, str | None] = {}
         self._numbers = self._read = 0
-        self._worker: subprocess.Popen[str] | None = None
-        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._owner = os.getpid()
+        self._disown()
 
     def forget_world(self, k: int) -> None:
         """Forget what world k has asked for."""
-        self._pending.pop(k, None)
+        request = self._pending.pop(k, None)
+        self._unasked = [other for other in self._unasked if other is not request]
         self._asked.pop(k, None)
         self._next.pop(k, None)
 
@@ -105,15 +116,24 @@ class Background:
 
     def close(self) -> None:
         """End the process."""
-        if self._worker is not None and self._owner == os.getpid():
-            self._worker.kill()
-            self._worker.wait()
-            for pipe in (self._worker.stdin, self._worker.stdout):
-                with contextlib.suppress(OSError, ValueError):
-                    cast(TextIO, pipe).close()
-            self._worker = None
+        if self._end is not None:
+            self._end()
+        self._worker = self._end = None
 
-    __del__ = close
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in _OF_PROCESS}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._disown()
+
+    def _disown(self) -> None:
+        """Begin without a process; what is pending and not answered yet will be asked again."""
+        self._owner = os.getpid()
+        self._worker = self._end = None
+        self._lines = queue.SimpleQueue()
+        pending = sorted(self._pending.values(), key=lambda request: request.number)
+        self._unasked = [request for request in pending if request.number > self._read]
 
     def _allow_next(self, k: int, now: float) -> None:
         if self._asked[k] < self._options.background.most:
@@ -129,16 +149,21 @@ class Background:
             self._allow_next(k, now)
             return
         self._numbers += 1
-        self._pending[k] = Request(self._numbers, begin, rest)
         data = {
             "number": self._numbers,
             "scenario": rest.model_dump(mode="json"),
             "impacts": _count_impacts(table, memory, k),
             "time_limit": self._options.background.time_limit,
         }
-        stdin = self._reach_worker()
+        request = Request(self._numbers, begin, rest, json.dumps(data) + "\n")
+        self._reach_worker()
+        self._pending[k] = request
+        self._ask(request)
+
+    def _ask(self, request: Request) -> None:
+        stdin = cast(TextIO, cast(Any, self._worker).stdin)
         try:
-            stdin.write(json.dumps(data) + "\n")
+            stdin.write(request.question)
             stdin.flush()
         except OSError:  # no worker any more; its answer will be missed
             self.close()
@@ -173,7 +198,9 @@ class Background:
 
     def _await_answer(self, number: int) -> str | None:
         """Return the answer to a request, None if no plan was found or the worker died."""
-        while self._read < number and self._owner == os.getpid():  # answers come in the order of the questions
+        if self._unasked or self._owner != os.getpid():
+            self._reach_worker()
+        while self._read < number:  # answers come in the order of the questions
             try:
                 answer = json.loads(self._lines.get())
             except ValueError:  # the worker ended, in the middle of a line maybe: what it was asked is lost
@@ -185,17 +212,37 @@ class Background:
                 self._answers[self._read] = answer["plan"]
         return self._answers.pop(number, None)
 
-    def _reach_worker(self) -> TextIO:
-        """Return where the worker takes questions; start it, and a thread that takes its answers, if there is none."""
+    def _reach_worker(self) -> None:
+        """Start the process, and a thread that takes its answers, if there is none; ask what it was not asked yet."""
         if self._owner != os.getpid():  # forked: the worker belongs to the parent
-            self._worker, self._owner = None, os.getpid()
+            self._disown()
         if self._worker is None or self._worker.poll() is not None:
-            self._worker = subprocess.Popen(
+            self._worker = worker = subprocess.Popen(
                 [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
             )
             self._lines = queue.SimpleQueue()
-            threading.Thread(target=_forward, args=(self._worker.stdout, self._lines), daemon=True).start()
-        return cast(TextIO, self._worker.stdin)
+            thread = threading.Thread(target=_forward, args=(worker.stdout, self._lines), daemon=True)
+            thread.start()
+            self._end = weakref.finalize(self, _end_process, worker, thread, self._owner)
+        unasked, self._unasked = self._unasked, []
+        for request in unasked:
+            self._ask(request)
+
+
+_OF_PROCESS = ("_owner", "_worker", "_end", "_lines", "_unasked")  # of a Background, and nothing to copy
+
+
+def _end_process(worker: subprocess.Popen[str], thread: threading.Thread, owner: int) -> None:
+    """End a worker, then the thread that reads from it, then close the pipes; a forked child leaves all alone."""
+    if os.getpid() != owner:
+        return
+    worker.kill()
+    worker.wait()
+    if thread is not threading.current_thread():  # where the garbage collector may run as well
+        thread.join()
+    for pipe in (worker.stdin, worker.stdout):
+        with contextlib.suppress(OSError, ValueError):
+            cast(TextIO, pipe).close()
 
 
 def _forward(answers: TextIO, lines: queue.SimpleQueue[str]) -> None:
@@ -225,7 +272,7 @@ def _count_impacts(table: PlanTable, memory: WorldMemory, k: int) -> int:
     return left
 
 
-def answer_requests(requests: TextIO, answers: TextIO) -> None:
+def answer_requests(requests: Iterable[str], answers: TextIO) -> None:
     """Plan what is asked for, line by line, until there is no more.
 
     Args:
@@ -243,5 +290,18 @@ def answer_requests(requests: TextIO, answers: TextIO) -> None:
         answers.flush()
 
 
+def _read_requests() -> Iterator[str]:
+    """Return the lines of standard input; when it ends, so does the process, even in the middle of planning."""
+    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def read() -> None:
+        for line in sys.stdin:
+            lines.put(line)
+        os._exit(0)  # nobody is left to answer
+
+    threading.Thread(target=read, daemon=True).start()
+    return iter(lines.get, "")
+
+
 if __name__ == "__main__":
-    answer_requests(sys.stdin, sys.stdout)
+    answer_requests(_read_requests(), sys.stdout)

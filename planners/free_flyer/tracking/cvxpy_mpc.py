@@ -121,7 +121,7 @@ def solve_cvxpy_mpc(mpc: CvxpyMpc, problem: TrackingProblem, task: TrackingTask)
         for name, value in zip("ABc", compute_stage(problem, task, k), strict=True):
             parameters[f"{name}[{k}]"].value = value
     try:
-        mpc.problem.solve(solver=SOLVER)
+        mpc.problem.solve(solver=SOLVER, warm_start=False)  # the same whatever was solved before
     except cp.SolverError as error:
         raise SolverFailed(NAME, str(error).splitlines()[0], REMEDY) from error
     if mpc.problem.status != cp.OPTIMAL:
@@ -148,7 +148,7 @@ class CvxpyTracker:
         """
         if problems is not self._problems:
             self._problems = problems
-            self._mpcs = {robot: self._build(problem) for robot, problem in problems.items()}
+            self._build_all()
         for robot, mpc in self._mpcs.items():
             if not mpc.problem.is_dpp():
                 raise InputError(f"the cvxpy problem of robot '{robot}' breaks the rules for parameters (DPP)")
@@ -156,3 +156,13 @@ class CvxpyTracker:
     def track(self, robot: str, task: TrackingTask) -> np.ndarray:
         """See `Tracker.track`."""
         return solve_cvxpy_mpc(self._mpcs[robot], self._problems[robot], task)
+
+    def _build_all(self) -> None:
+        self._mpcs = {robot: self._build(problem) for robot, problem in self._problems.items()}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_build": self._build, "_problems": self._problems}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._build_all()

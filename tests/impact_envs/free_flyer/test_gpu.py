@@ -1,6 +1,8 @@
 """The GPU's worlds are the CPU's: bit for bit in numba's CUDA simulator, nearly so on a GPU where there is one."""
 
+import copy
 import os
+import pickle
 import subprocess
 import sys
 
@@ -119,6 +121,23 @@ def test_contact_with_friction_and_an_offset_centre_of_mass_is_the_cpus():
     actions = np.zeros((STEPS // 2, WORLDS, 2, 3))
     actions[:, :, 0] = [0.02, 1.0, 0.3]
     assert run_both(pair, actions).sum() > 3
+
+
+@on_device
+@pytest.mark.parametrize("make", [copy.deepcopy, lambda batch: pickle.loads(pickle.dumps(batch))])
+def test_a_copy_goes_on_as_the_original(make):
+    (_, (batch, output)) = make_pair(load_scenario("corridor"))
+    actions = np.random.default_rng(1).uniform(-1, 1, (6, WORLDS, 2, 3))
+    for action in actions[:3]:
+        batch.step(action, output)
+    copied = make(batch)
+    theirs = copied.make_output(agents=True)
+    for action in actions[3:]:
+        batch.step(action, output)
+        copied.step(action, theirs)
+        for new, old in zip((*theirs, copied.bounds, copied.steps), (*output, batch.bounds, batch.steps), strict=True):
+            assert torch.equal(new, old)
+    assert copied._memory.signals.data_ptr() == copied._memory.states.data_ptr()
 
 
 @on_device

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import copy
 import gc
 import json
 import os
+import pickle
 import queue
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
 from io import StringIO
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, TextIO, cast
 
 import numpy as np
 import pytest
@@ -632,3 +635,91 @@ def test_script_that_begins_later_is_the_same_one_later() -> None:
     np.testing.assert_array_equal(late.coefficients, early.coefficients)
     assert late.impact[-1]["time"] > 0.0
     assert NO_IMPACT not in late.first
+
+
+def flatten(observations: dict[str, np.ndarray]) -> list[bytes]:
+    return [values.tobytes() for values in observations.values()]
+
+
+@pytest.mark.usefixtures("inline")
+@pytest.mark.parametrize("make", [copy.deepcopy, lambda thing: pickle.loads(pickle.dumps(thing))])
+def test_a_copy_asks_for_what_is_pending(expert: FreeFlyerExpert, make: Callable[[Any], Any]) -> None:
+    world, memory, seen = load("throw_and_catch").suite("all"), expert.memory, []
+    env = parallel_env(world)
+    observations, _ = env.reset(seed=SEED)
+    expert.reset(SEED)
+    for k in range(world.steps):
+        want(memory, 0, (WANTED,))
+        if k == round(WANTED / 0.1) + 5:
+            assert expert._background._pending
+            before = make((expert, env, observations))
+            asked = len(cast(Any, expert._background._worker).asked)
+        observations = env.step(expert.act(observations))[0]
+        seen.append(flatten(observations))
+    copied, env, observations = before
+    for k in range(round(WANTED / 0.1) + 5, world.steps):
+        observations = env.step(copied.act(observations))[0]
+        assert flatten(observations) == seen[k]
+    assert copied.memory.counts["planned_anew"][0] == memory.counts["planned_anew"][0] == 1
+    assert cast(Any, copied._background._worker).asked == cast(Any, expert._background._worker).asked[asked - 1 :]
+    copied._background.close()
+
+
+ENDS = {
+    "end": "pass",
+    "exit": "sys.exit(0)",
+    "error": "raise ValueError('of the user')",
+    "cycle": "expert.itself = expert",
+    "forgotten": "del expert",
+}
+
+
+@pytest.mark.parametrize("busy", [True, False])
+@pytest.mark.parametrize("end", ENDS)
+def test_a_program_ends_with_its_own_code(end: str, busy: bool) -> None:
+    """Whatever its planning process does when it ends, and however it ends."""
+    code = f"""
+import sys
+from planners.free_flyer.closed_loop.background import Background, Request
+from impact_envs import load_scenario
+scenario = load_scenario("throw_and_catch")
+expert = type("Expert", (), dict())()
+expert.background = Background(scenario)
+expert.background._reach_worker()
+if {busy}:
+    expert.background._worker.stdin.write({request(1)!r})
+    expert.background._worker.stdin.flush()
+print(expert.background._worker.pid, flush=True)
+{ENDS[end]}
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == (1 if end == "error" else 0), ended.stderr
+    assert ("of the user" in ended.stderr) if end == "error" else not ended.stderr
+    assert not exists(int(ended.stdout))
+
+
+def test_the_process_does_not_outlive_a_killed_owner() -> None:
+    """While it plans, too."""
+    slow = json.loads(request(1))
+    slow |= {"time_limit": 60.0, "scenario": load("crew").model_dump(mode="json"), "impacts": 8}
+    code = f"""
+import os, signal
+from planners.free_flyer.closed_loop.background import Background
+from impact_envs import load_scenario
+asking = Background(load_scenario("throw_and_catch"))
+asking._reach_worker()
+asking._worker.stdin.write({json.dumps(slow) + chr(10)!r})
+asking._worker.stdin.flush()
+print(asking._worker.pid, flush=True)
+input()
+"""
+    owner = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    worker = int(cast(TextIO, owner.stdout).readline())
+    time.sleep(2.0)  # until it plans
+    assert exists(worker)
+    owner.kill()
+    owner.communicate()
+    until = time.monotonic() + 5.0
+    while exists(worker) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert not exists(worker)
