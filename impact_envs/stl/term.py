@@ -7,7 +7,7 @@ the last bit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -120,6 +120,58 @@ def is_state(term: Term) -> bool:
     if isinstance(term, Combination):
         return all(is_state(child) for child in term.children)
     return not isinstance(term, Operator)
+
+
+@dataclass(frozen=True)
+class Join:
+    """An operator over states, and the states it is clamped between: max(lower, min(upper, operator)).
+
+    None stands for an end that is infinite.
+    """
+
+    operator: Operator
+    lower: Term | None
+    upper: Term | None
+
+
+def find_join(term: Operator) -> Join | None:
+    """Return the join that an always or eventually is about; None if it is about something else.
+
+    Args:
+        term: any.
+    """
+    if len(term.children) == 2:
+        return None
+    (inner,) = term.children
+    operators = set(_walk_operators(inner))
+    if len(operators) != 1:
+        return None
+    (operator,) = operators
+    if operator.first == operator.last or not all(map(is_state, operator.children)):
+        return None
+    return Join(operator, _find_limit(inner, max), _find_limit(inner, min))
+
+
+def _walk_operators(term: Term) -> Iterator[Operator]:
+    """Yield the outermost operators in a term."""
+    if isinstance(term, Operator):
+        yield term
+    elif isinstance(term, Combination):
+        for child in term.children:
+            yield from _walk_operators(child)
+
+
+def _find_limit(term: Term, loses: Pick) -> Term | None:
+    """Return what a term is where its operators are -inf, which loses against all in max, or inf; None if the same."""
+    if isinstance(term, Operator):
+        return None
+    if not isinstance(term, Combination):
+        return term
+    limits = [_find_limit(child, loses) for child in term.children]
+    rest = tuple(limit for limit in limits if limit is not None)
+    if not rest or (len(rest) < len(limits) and term.pick is not loses):
+        return None
+    return rest[0] if len(rest) == 1 else Combination(term.pick, rest)
 
 
 def other(pick: Pick) -> Pick:

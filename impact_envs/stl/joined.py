@@ -1,0 +1,195 @@
+"""Always or eventually of one operator joined with formulas about one instant, in constant time per sample.
+
+Such as F[0,20] (p & G[0,5] q), G[0,20] (p -> F[0,5] q) and G[0,20] (p U[0,5] q). The formula inside is monotone in
+the operator's value x, hence max(lower, min(upper, x)), a clamp: its ends are what it is for x = -inf and x = +inf, and
+clamps compose to clamps. An eventually, always or until is the clamps of its samples one after another, applied to what
+comes after the window: max(q, x), min(q, x), max(min(p, q), min(p, x)).
+
+An instant whose window begins after the present sample is early (of an until the left side counts already), one whose
+window holds it is open. All open instants see the same samples to come, hence all of them together are a clamp of what
+these samples give. A stretch of instants is followed by two clamps: of its samples, and of its instants. A stretch and
+a later one: the samples of the later one act on the instants of both. That is associative, so that the early and the
+open instants are two sliding windows (see sliding.py) of such pairs.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from impact_envs.compiled import compiled, inlined
+from impact_envs.stl.compiled_formula import (
+    FIRST,
+    FIRST_2,
+    LAST,
+    LAST_2,
+    LEFT,
+    LOWER,
+    MAX,
+    MIN,
+    PICK,
+    PICK_2,
+    RIGHT,
+    SLOT,
+    UNSEEN,
+    UPPER,
+    CompiledFormula,
+)
+from impact_envs.stl.sliding import worst
+from impact_envs.stl.state import PLACE, combine, compute_state
+
+# Memory of a row: the extreme of the final instants, then two windows: of early instants, and of open ones. A window
+# is its place in the block, the two clamps of the block so far, and per instant the two clamps of what is left of the
+# last block from there on, and the clamp of the instant alone.
+BEST, EARLY = range(2)
+SAMPLES, INSTANTS, ALONE = 0, 2, 4
+ENTRY = 6
+HEAD = 1 + ALONE
+
+
+def compute_size(first: int, last: int) -> int:
+    """Return how many numbers of a world's memory such an operator takes.
+
+    Args:
+        first: start of the inner operator's interval [samples].
+        last: its end [samples].
+    """
+    return EARLY + 2 * HEAD + ENTRY * last
+
+
+@inlined
+def clamp(lower: float, upper: float, value: float) -> float:
+    """Return the value, or the end of the interval beside which it lies."""
+    return combine(MAX, lower, combine(MIN, upper, value))
+
+
+@inlined
+def write_clamp(memory: Any, k: int, at: int, lower: float, upper: float) -> None:
+    """Set the two numbers of a clamp."""
+    memory[k, at] = lower
+    memory[k, at + 1] = upper
+
+
+@inlined
+def clear_window(memory: Any, k: int, head: int, width: int, pick: int) -> None:
+    """Forget the instants of a window."""
+    none = worst(pick)
+    memory[k, head] = 0.0
+    write_clamp(memory, k, head + 1 + SAMPLES, -math.inf, math.inf)
+    write_clamp(memory, k, head + 1 + INSTANTS, none, none)
+    for j in range(width):
+        at = head + HEAD + ENTRY * j
+        write_clamp(memory, k, at + SAMPLES, -math.inf, math.inf)
+        write_clamp(memory, k, at + INSTANTS, none, none)
+        write_clamp(memory, k, at + ALONE, none, none)
+
+
+@inlined
+def pass_window(
+    memory: Any, k: int, head: int, width: int, pick: int, sample: tuple[float, float], alone: tuple[float, float]
+) -> tuple[float, float, float, float]:
+    """Take the next sample and the instant at which it is the first; let go of the oldest instant.
+
+    Args:
+        memory: of all worlds, shape (worlds, ...); written.
+        k: the world.
+        head: place of the window.
+        width: of the window, at least 1.
+        pick: how instants are joined, MIN or MAX.
+        sample: its clamp.
+        alone: clamp of the instant without samples.
+
+    Returns:
+        The clamp of the oldest instant after all its samples, and that of the instants left.
+    """
+    gathered, entries = head + 1, head + HEAD
+    place = int(memory[k, head]) & PLACE
+    at, last = (entries + ENTRY * place) & PLACE, place == width - 1
+    # The samples of the block so far, and its instants.
+    low, high = memory[k, gathered], memory[k, gathered + 1]
+    low, high = clamp(low, high, sample[0]), clamp(low, high, sample[1])
+    lower, upper = memory[k, gathered + INSTANTS], memory[k, gathered + INSTANTS + 1]
+    own_low, own_high = clamp(alone[0], alone[1], sample[0]), clamp(alone[0], alone[1], sample[1])
+    lower = combine(pick, clamp(lower, upper, sample[0]), own_low)
+    upper = combine(pick, clamp(memory[k, gathered + INSTANTS], upper, sample[1]), own_high)
+    # The oldest instant, of the last block, has seen the rest of that block and all of this one.
+    old_low, old_high = memory[k, at + ALONE], memory[k, at + ALONE + 1]
+    rest_low, rest_high = memory[k, at], memory[k, at + 1]
+    old_low, old_high = (
+        clamp(old_low, old_high, clamp(rest_low, rest_high, low)),
+        clamp(old_low, old_high, clamp(rest_low, rest_high, high)),
+    )
+    write_clamp(memory, k, at + SAMPLES, sample[0], sample[1])
+    write_clamp(memory, k, at + INSTANTS, own_low, own_high)
+    write_clamp(memory, k, at + ALONE, alone[0], alone[1])
+    if last:
+        low, high, lower, upper = sample[0], sample[1], own_low, own_high
+        for j in range(1, width):
+            at = (entries + ENTRY * (place - j)) & PLACE
+            a, b = memory[k, at + INSTANTS], memory[k, at + INSTANTS + 1]
+            lower, upper = combine(pick, clamp(a, b, low), lower), combine(pick, clamp(a, b, high), upper)
+            a, b = memory[k, at], memory[k, at + 1]
+            low, high = clamp(a, b, low), clamp(a, b, high)
+            write_clamp(memory, k, at + SAMPLES, low, high)
+            write_clamp(memory, k, at + INSTANTS, lower, upper)
+        memory[k, head] = 0.0
+        write_clamp(memory, k, gathered + SAMPLES, -math.inf, math.inf)
+        write_clamp(memory, k, gathered + INSTANTS, worst(pick), worst(pick))
+        return old_low, old_high, lower, upper
+    memory[k, head] = place + 1.0
+    write_clamp(memory, k, gathered + SAMPLES, low, high)
+    write_clamp(memory, k, gathered + INSTANTS, lower, upper)
+    a, b = memory[k, at + ENTRY + INSTANTS], memory[k, at + ENTRY + INSTANTS + 1]
+    lower, upper = combine(pick, clamp(a, b, low), lower), combine(pick, clamp(a, b, high), upper)
+    return old_low, old_high, lower, upper
+
+
+@compiled
+def start_joined(formula: CompiledFormula, memory: Any, k: int, i: int) -> None:
+    """Forget all samples of row i of the root."""
+    root = formula.root
+    slot, pick, first, last = root[i, SLOT], root[i, PICK], root[i, FIRST_2], root[i, LAST_2]
+    memory[k, slot + BEST] = worst(pick)
+    clear_window(memory, k, slot + EARLY, first, pick)
+    clear_window(memory, k, slot + EARLY + HEAD + ENTRY * first, last - first, pick)
+
+
+@compiled
+def update_joined(
+    formula: CompiledFormula, memory: Any, k: int, count: int, signals: Any, i: int
+) -> tuple[float, float]:
+    """Return the interval of an always or eventually of an operator joined with formulas about one instant."""
+    root, numbers = formula.root, formula.numbers
+    pick, inner, slot, unseen = root[i, PICK], root[i, PICK_2], root[i, SLOT] & PLACE, root[i, UNSEEN] & PLACE
+    first, last, first_2, last_2 = root[i, FIRST], root[i, LAST], root[i, FIRST_2], root[i, LAST_2]
+    best, lower, upper = memory[k, slot + BEST], worst(pick), worst(pick)
+    low = high = worst(pick)
+    if first <= count <= last + last_2:
+        if count <= last:
+            lower, upper = -math.inf, math.inf
+            if root[i, LOWER] >= 0:
+                lower = compute_state(formula, memory, k, signals, root[i, LOWER])
+            if root[i, UPPER] >= 0:
+                upper = compute_state(formula, memory, k, signals, root[i, UPPER])
+        left = worst(1 - inner)
+        if root[i, LEFT] >= 0:
+            left = compute_state(formula, memory, k, signals, root[i, LEFT])
+        ends = numbers[unseen + 2], numbers[unseen + 3]
+        held = (-math.inf, left) if inner == MAX else (left, math.inf)
+        if first_2 > 0:
+            lower, upper, a, b = pass_window(memory, k, slot + EARLY, first_2, pick, held, (lower, upper))
+            low, high = clamp(a, b, ends[0]), clamp(a, b, ends[1])
+        if count >= first + first_2:
+            value = combine(1 - inner, left, compute_state(formula, memory, k, signals, root[i, RIGHT]))
+            sample = (value, left) if inner == MAX else (left, value)
+            head = slot + EARLY + HEAD + ENTRY * first_2
+            a, b, lower, upper = pass_window(memory, k, head, last_2 - first_2, pick, sample, (lower, upper))
+            low = combine(pick, low, clamp(lower, upper, ends[0]))
+            high = combine(pick, high, clamp(lower, upper, ends[1]))
+            best = combine(pick, best, a if inner == MAX else b)  # of a final instant, no more samples come
+            memory[k, slot + BEST] = best
+    if count >= last + last_2:
+        return best, best
+    if count < last:
+        low, high = combine(pick, low, numbers[unseen]), combine(pick, high, numbers[unseen + 1])
+    return combine(pick, best, low), combine(pick, best, high)
