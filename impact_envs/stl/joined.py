@@ -38,13 +38,13 @@ from impact_envs.stl.compiled_formula import (
 from impact_envs.stl.sliding import worst
 from impact_envs.stl.state import PLACE, combine, compute_state
 
-# Memory of a row: the extreme of the final instants, then two windows: of early instants, and of open ones. A window
-# is its place in the block, the two clamps of the block so far, and per instant the two clamps of what is left of the
-# last block from there on, and the clamp of the instant alone.
-BEST, EARLY = range(2)
-SAMPLES, INSTANTS, ALONE = 0, 2, 4
-ENTRY = 6
-HEAD = 1 + ALONE
+# Memory of a row: the extreme of the final instants, and two windows: of open instants, and of early ones. A window is
+# its place in the block, the two clamps of the block so far, and two clamps per instant. In the present block these are
+# of the instant's sample and of the instant alone. In the last one they are of the instant alone after the rest of the
+# block, and of this instant and the later ones together.
+BEST, OPEN = range(2)
+SAMPLES, INSTANTS = 1, 3
+ENTRY, HEAD = 4, 5
 
 
 def compute_size(first: int, last: int) -> int:
@@ -54,7 +54,7 @@ def compute_size(first: int, last: int) -> int:
         first: start of the inner operator's interval [samples].
         last: its end [samples].
     """
-    return EARLY + 2 * HEAD + ENTRY * last
+    return OPEN + 2 * HEAD + ENTRY * last
 
 
 @inlined
@@ -75,13 +75,10 @@ def clear_window(memory: Any, k: int, head: int, width: int, pick: int) -> None:
     """Forget the instants of a window."""
     none = worst(pick)
     memory[k, head] = 0.0
-    write_clamp(memory, k, head + 1 + SAMPLES, -math.inf, math.inf)
-    write_clamp(memory, k, head + 1 + INSTANTS, none, none)
-    for j in range(width):
-        at = head + HEAD + ENTRY * j
-        write_clamp(memory, k, at + SAMPLES, -math.inf, math.inf)
-        write_clamp(memory, k, at + INSTANTS, none, none)
-        write_clamp(memory, k, at + ALONE, none, none)
+    write_clamp(memory, k, head + SAMPLES, -math.inf, math.inf)
+    write_clamp(memory, k, head + INSTANTS, none, none)
+    for j in range(2 * width):
+        write_clamp(memory, k, head + HEAD + 2 * j, none, none)
 
 
 @inlined
@@ -102,46 +99,45 @@ def pass_window(
     Returns:
         The clamp of the oldest instant after all its samples, and that of the instants left.
     """
-    gathered, entries = head + 1, head + HEAD
     place = int(memory[k, head]) & PLACE
-    at, last = (entries + ENTRY * place) & PLACE, place == width - 1
-    # The samples of the block so far, and its instants.
-    low, high = memory[k, gathered], memory[k, gathered + 1]
-    low, high = clamp(low, high, sample[0]), clamp(low, high, sample[1])
-    lower, upper = memory[k, gathered + INSTANTS], memory[k, gathered + INSTANTS + 1]
-    own_low, own_high = clamp(alone[0], alone[1], sample[0]), clamp(alone[0], alone[1], sample[1])
-    lower = combine(pick, clamp(lower, upper, sample[0]), own_low)
-    upper = combine(pick, clamp(memory[k, gathered + INSTANTS], upper, sample[1]), own_high)
-    # The oldest instant, of the last block, has seen the rest of that block and all of this one.
-    old_low, old_high = memory[k, at + ALONE], memory[k, at + ALONE + 1]
-    rest_low, rest_high = memory[k, at], memory[k, at + 1]
-    old_low, old_high = (
-        clamp(old_low, old_high, clamp(rest_low, rest_high, low)),
-        clamp(old_low, old_high, clamp(rest_low, rest_high, high)),
-    )
-    write_clamp(memory, k, at + SAMPLES, sample[0], sample[1])
-    write_clamp(memory, k, at + INSTANTS, own_low, own_high)
-    write_clamp(memory, k, at + ALONE, alone[0], alone[1])
-    if last:
-        low, high, lower, upper = sample[0], sample[1], own_low, own_high
-        for j in range(1, width):
-            at = (entries + ENTRY * (place - j)) & PLACE
-            a, b = memory[k, at + INSTANTS], memory[k, at + INSTANTS + 1]
-            lower, upper = combine(pick, clamp(a, b, low), lower), combine(pick, clamp(a, b, high), upper)
-            a, b = memory[k, at], memory[k, at + 1]
-            low, high = clamp(a, b, low), clamp(a, b, high)
-            write_clamp(memory, k, at + SAMPLES, low, high)
-            write_clamp(memory, k, at + INSTANTS, lower, upper)
+    at = (head + HEAD + ENTRY * place) & PLACE
+    a, b = memory[k, head + SAMPLES], memory[k, head + SAMPLES + 1]
+    low, high = clamp(a, b, sample[0]), clamp(a, b, sample[1])
+    a, b = memory[k, at], memory[k, at + 1]
+    oldest_low, oldest_high = clamp(a, b, low), clamp(a, b, high)
+    write_clamp(memory, k, at, sample[0], sample[1])
+    write_clamp(memory, k, at + 2, alone[0], alone[1])
+    if place == width - 1:
         memory[k, head] = 0.0
-        write_clamp(memory, k, gathered + SAMPLES, -math.inf, math.inf)
-        write_clamp(memory, k, gathered + INSTANTS, worst(pick), worst(pick))
-        return old_low, old_high, lower, upper
+        write_clamp(memory, k, head + SAMPLES, -math.inf, math.inf)
+        write_clamp(memory, k, head + INSTANTS, worst(pick), worst(pick))
+        lower, upper = gather_backward(memory, k, at, width, pick)
+        return oldest_low, oldest_high, lower, upper
+    a, b = memory[k, head + INSTANTS], memory[k, head + INSTANTS + 1]
+    lower = combine(pick, clamp(a, b, sample[0]), clamp(alone[0], alone[1], sample[0]))
+    upper = combine(pick, clamp(a, b, sample[1]), clamp(alone[0], alone[1], sample[1]))
     memory[k, head] = place + 1.0
-    write_clamp(memory, k, gathered + SAMPLES, low, high)
-    write_clamp(memory, k, gathered + INSTANTS, lower, upper)
-    a, b = memory[k, at + ENTRY + INSTANTS], memory[k, at + ENTRY + INSTANTS + 1]
+    write_clamp(memory, k, head + SAMPLES, low, high)
+    write_clamp(memory, k, head + INSTANTS, lower, upper)
+    a, b = memory[k, at + ENTRY + 2], memory[k, at + ENTRY + 3]
     lower, upper = combine(pick, clamp(a, b, low), lower), combine(pick, clamp(a, b, high), upper)
-    return old_low, old_high, lower, upper
+    return oldest_low, oldest_high, lower, upper
+
+
+@inlined
+def gather_backward(memory: Any, k: int, at: int, width: int, pick: int) -> tuple[float, float]:
+    """Make the present block, whose last instant is at a place, the last block; return the clamp of its instants."""
+    low, high, lower, upper = -math.inf, math.inf, worst(pick), worst(pick)
+    for j in range(width):
+        entry = (at - ENTRY * j) & PLACE
+        a, b = memory[k, entry], memory[k, entry + 1]
+        low, high = clamp(a, b, low), clamp(a, b, high)
+        a, b = memory[k, entry + 2], memory[k, entry + 3]
+        a, b = clamp(a, b, low), clamp(a, b, high)
+        lower, upper = combine(pick, lower, a), combine(pick, upper, b)
+        write_clamp(memory, k, entry, a, b)
+        write_clamp(memory, k, entry + 2, lower, upper)
+    return lower, upper
 
 
 @compiled
@@ -150,8 +146,8 @@ def start_joined(formula: CompiledFormula, memory: Any, k: int, i: int) -> None:
     root = formula.root
     slot, pick, first, last = root[i, SLOT], root[i, PICK], root[i, FIRST_2], root[i, LAST_2]
     memory[k, slot + BEST] = worst(pick)
-    clear_window(memory, k, slot + EARLY, first, pick)
-    clear_window(memory, k, slot + EARLY + HEAD + ENTRY * first, last - first, pick)
+    clear_window(memory, k, slot + OPEN, last - first, pick)
+    clear_window(memory, k, slot + OPEN + HEAD + ENTRY * (last - first), first, pick)
 
 
 @compiled
@@ -174,16 +170,16 @@ def update_joined(
         left = worst(1 - inner)
         if root[i, LEFT] >= 0:
             left = compute_state(formula, memory, k, signals, root[i, LEFT])
-        ends = numbers[unseen + 2], numbers[unseen + 3]
+        ends, width = (numbers[unseen + 2], numbers[unseen + 3]), last_2 - first_2
         held = (-math.inf, left) if inner == MAX else (left, math.inf)
         if first_2 > 0:
-            lower, upper, a, b = pass_window(memory, k, slot + EARLY, first_2, pick, held, (lower, upper))
+            early = slot + OPEN + HEAD + ENTRY * width
+            lower, upper, a, b = pass_window(memory, k, early, first_2, pick, held, (lower, upper))
             low, high = clamp(a, b, ends[0]), clamp(a, b, ends[1])
         if count >= first + first_2:
             value = combine(1 - inner, left, compute_state(formula, memory, k, signals, root[i, RIGHT]))
             sample = (value, left) if inner == MAX else (left, value)
-            head = slot + EARLY + HEAD + ENTRY * first_2
-            a, b, lower, upper = pass_window(memory, k, head, last_2 - first_2, pick, sample, (lower, upper))
+            a, b, lower, upper = pass_window(memory, k, slot + OPEN, width, pick, sample, (lower, upper))
             low = combine(pick, low, clamp(lower, upper, ends[0]))
             high = combine(pick, high, clamp(lower, upper, ends[1]))
             best = combine(pick, best, a if inner == MAX else b)  # of a final instant, no more samples come
