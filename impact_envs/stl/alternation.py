@@ -108,7 +108,7 @@ def update_twofold(
     return sign * low, sign * high
 
 
-@inlined
+@compiled
 def update_threefold(
     formula: CompiledFormula, memory: Any, k: int, count: int, signals: Any, i: int
 ) -> tuple[float, float]:
