@@ -141,8 +141,11 @@ class _Builder:
             operands = [self._add_state(child) for child in operator.children]
             operands = operands if len(operands) == 2 else [-1, *operands]
             unseen = self._add_numbers([*compute_range(term, self.bounds), *compute_range(operator, self.bounds)])
-            size = joined.compute_size(operator.first, operator.last)
-            more = [operator.first, operator.last, 0, 0, _pick(operator.pick), *ends]
+            varying = joined.BOTH
+            if len(operator.children) == 1 and (join.upper if operator.pick is max else join.lower) is None:
+                varying = joined.LOW if operator.pick is max else joined.HIGH
+            size = joined.compute_size(operator.first, operator.last, varying)
+            more = [operator.first, operator.last, 0, 0, _pick(operator.pick), *ends, varying]
         else:
             kind = tables.OPEN_UNTIL if until else tables.OPEN_EXTREME
             operands = [self._add_node(child) for child in children]
@@ -236,7 +239,7 @@ class _Builder:
                     self.nodes[child].need(*window, node.reach - node.first)
         rows = [self._finish_node(node) for node in self.nodes]
         return CompiledFormula(
-            _table(self.root, tables.UPPER + 1),
+            _table(self.root, tables.ENDS + 1),
             _table(rows, tables.STRIDE + 1),
             np.array(self.starts, np.int32),
             _table(self.code, tables.COUNT + 1),

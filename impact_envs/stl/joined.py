@@ -19,6 +19,7 @@ from typing import Any
 
 from impact_envs.compiled import compiled, inlined
 from impact_envs.stl.compiled_formula import (
+    ENDS,
     FIRST,
     FIRST_2,
     LAST,
@@ -44,17 +45,20 @@ from impact_envs.stl.state import PLACE, combine, compute_state
 # block, and of this instant and the later ones together.
 BEST, OPEN = range(2)
 SAMPLES, INSTANTS = 1, 3
-ENTRY, HEAD = 4, 5
+HEAD = 5
+# Which ends of all clamps vary; the others are infinite. The number is also how many numbers are kept of an instant.
+BOTH, LOW, HIGH = 4, 2, -2
 
 
-def compute_size(first: int, last: int) -> int:
+def compute_size(first: int, last: int, ends: int) -> int:
     """Return how many numbers of a world's memory such an operator takes.
 
     Args:
         first: start of the inner operator's interval [samples].
         last: its end [samples].
+        ends: which ends of the clamps vary.
     """
-    return OPEN + 2 * HEAD + ENTRY * last
+    return OPEN + 2 * HEAD + abs(ends) * last
 
 
 @inlined
@@ -64,26 +68,46 @@ def clamp(lower: float, upper: float, value: float) -> float:
 
 
 @inlined
-def write_clamp(memory: Any, k: int, at: int, lower: float, upper: float) -> None:
-    """Set the two numbers of a clamp."""
-    memory[k, at] = lower
-    memory[k, at + 1] = upper
+def write_clamp(memory: Any, k: int, at: int, ends: int, lower: float, upper: float) -> None:
+    """Set what varies of a clamp."""
+    if ends != HIGH:
+        memory[k, at] = lower
+    if ends == BOTH:
+        memory[k, at + 1] = upper
+    elif ends == HIGH:
+        memory[k, at] = upper
 
 
 @inlined
-def clear_window(memory: Any, k: int, head: int, width: int, pick: int) -> None:
+def read_clamp(memory: Any, k: int, at: int, ends: int) -> tuple[float, float]:
+    """Return both ends of a clamp."""
+    if ends == BOTH:
+        return memory[k, at], memory[k, at + 1]
+    if ends == LOW:
+        return memory[k, at], math.inf
+    return -math.inf, memory[k, at]
+
+
+@inlined
+def clear_window(memory: Any, k: int, head: int, width: int, pick: int, ends: int) -> None:
     """Forget the instants of a window."""
     none = worst(pick)
     memory[k, head] = 0.0
-    write_clamp(memory, k, head + SAMPLES, -math.inf, math.inf)
-    write_clamp(memory, k, head + INSTANTS, none, none)
-    for j in range(2 * width):
-        write_clamp(memory, k, head + HEAD + 2 * j, none, none)
+    write_clamp(memory, k, head + SAMPLES, BOTH, -math.inf, math.inf)
+    write_clamp(memory, k, head + INSTANTS, BOTH, none, none)
+    for j in range(abs(ends) * width):
+        memory[k, head + HEAD + j] = none
 
 
 @inlined
 def pass_window(
-    memory: Any, k: int, head: int, width: int, pick: int, sample: tuple[float, float], alone: tuple[float, float]
+    memory: Any,
+    k: int,
+    head: int,
+    width: int,
+    how: tuple[int, int],
+    sample: tuple[float, float],
+    alone: tuple[float, float],
 ) -> tuple[float, float, float, float]:
     """Take the next sample and the instant at which it is the first; let go of the oldest instant.
 
@@ -92,51 +116,57 @@ def pass_window(
         k: the world.
         head: place of the window.
         width: of the window, at least 1.
-        pick: how instants are joined, MIN or MAX.
+        how: instants are joined, MIN or MAX; which ends of the clamps vary.
         sample: its clamp.
         alone: clamp of the instant without samples.
 
     Returns:
         The clamp of the oldest instant after all its samples, and that of the instants left.
     """
+    pick, ends = how
+    size = abs(ends)
+    half = size >> 1
     place = int(memory[k, head]) & PLACE
-    at = (head + HEAD + ENTRY * place) & PLACE
-    a, b = memory[k, head + SAMPLES], memory[k, head + SAMPLES + 1]
+    at = (head + HEAD + size * place) & PLACE
+    a, b = read_clamp(memory, k, head + SAMPLES, BOTH)
     low, high = clamp(a, b, sample[0]), clamp(a, b, sample[1])
-    a, b = memory[k, at], memory[k, at + 1]
+    a, b = read_clamp(memory, k, at, ends)
     oldest_low, oldest_high = clamp(a, b, low), clamp(a, b, high)
-    write_clamp(memory, k, at, sample[0], sample[1])
-    write_clamp(memory, k, at + 2, alone[0], alone[1])
+    write_clamp(memory, k, at, ends, sample[0], sample[1])
+    write_clamp(memory, k, at + half, ends, alone[0], alone[1])
     if place == width - 1:
         memory[k, head] = 0.0
-        write_clamp(memory, k, head + SAMPLES, -math.inf, math.inf)
-        write_clamp(memory, k, head + INSTANTS, worst(pick), worst(pick))
-        lower, upper = gather_backward(memory, k, at, width, pick)
+        write_clamp(memory, k, head + SAMPLES, BOTH, -math.inf, math.inf)
+        write_clamp(memory, k, head + INSTANTS, BOTH, worst(pick), worst(pick))
+        lower, upper = gather_backward(memory, k, at, width, how)
         return oldest_low, oldest_high, lower, upper
-    a, b = memory[k, head + INSTANTS], memory[k, head + INSTANTS + 1]
+    a, b = read_clamp(memory, k, head + INSTANTS, BOTH)
     lower = combine(pick, clamp(a, b, sample[0]), clamp(alone[0], alone[1], sample[0]))
     upper = combine(pick, clamp(a, b, sample[1]), clamp(alone[0], alone[1], sample[1]))
     memory[k, head] = place + 1.0
-    write_clamp(memory, k, head + SAMPLES, low, high)
-    write_clamp(memory, k, head + INSTANTS, lower, upper)
-    a, b = memory[k, at + ENTRY + 2], memory[k, at + ENTRY + 3]
+    write_clamp(memory, k, head + SAMPLES, BOTH, low, high)
+    write_clamp(memory, k, head + INSTANTS, BOTH, lower, upper)
+    a, b = read_clamp(memory, k, at + size + half, ends)
     lower, upper = combine(pick, clamp(a, b, low), lower), combine(pick, clamp(a, b, high), upper)
     return oldest_low, oldest_high, lower, upper
 
 
 @inlined
-def gather_backward(memory: Any, k: int, at: int, width: int, pick: int) -> tuple[float, float]:
+def gather_backward(memory: Any, k: int, at: int, width: int, how: tuple[int, int]) -> tuple[float, float]:
     """Make the present block, whose last instant is at a place, the last block; return the clamp of its instants."""
+    pick, ends = how
+    size = abs(ends)
+    half = size >> 1
     low, high, lower, upper = -math.inf, math.inf, worst(pick), worst(pick)
     for j in range(width):
-        entry = (at - ENTRY * j) & PLACE
-        a, b = memory[k, entry], memory[k, entry + 1]
+        entry = (at - size * j) & PLACE
+        a, b = read_clamp(memory, k, entry, ends)
         low, high = clamp(a, b, low), clamp(a, b, high)
-        a, b = memory[k, entry + 2], memory[k, entry + 3]
+        a, b = read_clamp(memory, k, entry + half, ends)
         a, b = clamp(a, b, low), clamp(a, b, high)
         lower, upper = combine(pick, lower, a), combine(pick, upper, b)
-        write_clamp(memory, k, entry, a, b)
-        write_clamp(memory, k, entry + 2, lower, upper)
+        write_clamp(memory, k, entry, ends, a, b)
+        write_clamp(memory, k, entry + half, ends, lower, upper)
     return lower, upper
 
 
@@ -144,10 +174,11 @@ def gather_backward(memory: Any, k: int, at: int, width: int, pick: int) -> tupl
 def start_joined(formula: CompiledFormula, memory: Any, k: int, i: int) -> None:
     """Forget all samples of row i of the root."""
     root = formula.root
-    slot, pick, first, last = root[i, SLOT], root[i, PICK], root[i, FIRST_2], root[i, LAST_2]
+    slot, pick, first, ends = root[i, SLOT], root[i, PICK], root[i, FIRST_2], root[i, ENDS]
+    width = root[i, LAST_2] - first
     memory[k, slot + BEST] = worst(pick)
-    clear_window(memory, k, slot + OPEN, last - first, pick)
-    clear_window(memory, k, slot + OPEN + HEAD + ENTRY * (last - first), first, pick)
+    clear_window(memory, k, slot + OPEN, width, pick, ends)
+    clear_window(memory, k, slot + OPEN + HEAD + abs(ends) * width, first, pick, ends)
 
 
 @compiled
@@ -170,18 +201,19 @@ def update_joined(
         left = worst(1 - inner)
         if root[i, LEFT] >= 0:
             left = compute_state(formula, memory, k, signals, root[i, LEFT])
-        ends, width = (numbers[unseen + 2], numbers[unseen + 3]), last_2 - first_2
+        width, how = last_2 - first_2, (pick, root[i, ENDS])
+        worst_case, best_case = numbers[unseen + 2], numbers[unseen + 3]
         held = (-math.inf, left) if inner == MAX else (left, math.inf)
         if first_2 > 0:
-            early = slot + OPEN + HEAD + ENTRY * width
-            lower, upper, a, b = pass_window(memory, k, early, first_2, pick, held, (lower, upper))
-            low, high = clamp(a, b, ends[0]), clamp(a, b, ends[1])
+            early = slot + OPEN + HEAD + abs(how[1]) * width
+            lower, upper, a, b = pass_window(memory, k, early, first_2, how, held, (lower, upper))
+            low, high = clamp(a, b, worst_case), clamp(a, b, best_case)
         if count >= first + first_2:
             value = combine(1 - inner, left, compute_state(formula, memory, k, signals, root[i, RIGHT]))
             sample = (value, left) if inner == MAX else (left, value)
-            a, b, lower, upper = pass_window(memory, k, slot + OPEN, width, pick, sample, (lower, upper))
-            low = combine(pick, low, clamp(lower, upper, ends[0]))
-            high = combine(pick, high, clamp(lower, upper, ends[1]))
+            a, b, lower, upper = pass_window(memory, k, slot + OPEN, width, how, sample, (lower, upper))
+            low = combine(pick, low, clamp(lower, upper, worst_case))
+            high = combine(pick, high, clamp(lower, upper, best_case))
             best = combine(pick, best, a if inner == MAX else b)  # of a final instant, no more samples come
             memory[k, slot + BEST] = best
     if count >= last + last_2:
