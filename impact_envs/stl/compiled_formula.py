@@ -41,7 +41,7 @@ UNTIL = 2
 # an alternation of eventually and always over such a formula:
 TWOFOLD = 3  # such as always eventually
 THREEFOLD = 4  # such as always eventually always
-# an eventually or always of one operator joined with such formulas:
+# an operator of such a formula and one about one operator joined with such formulas:
 JOINED = 5
 # and over any formulas, which are nodes:
 OPEN_EXTREME = 6
@@ -55,5 +55,5 @@ KIND, HOW = range(2)
 COLUMN, NUMBER, COUNT = range(2, 5)
 PICK, FIRST, LAST, LEFT, RIGHT, SLOT, UNSEEN = range(2, 9)
 FIRST_2, LAST_2, FIRST_3, LAST_3 = range(9, 13)  # of ``root``: the operators inside an alternation or join
-PICK_2, LOWER, UPPER, ENDS = range(13, 17)  # of ``root``: the operator inside a join, and what clamps it
+PICK_2, LEFT_2, LOWER, UPPER, ENDS = range(13, 18)  # of ``root``: the operator inside a join, and what clamps it
 EARLIEST, REACH, START, END, MASK, STRIDE = range(9, 15)  # of ``nodes``

@@ -136,16 +136,14 @@ class _Builder:
             unseen = self._add_numbers(compute_range(term, self.bounds))
             size = alternation.compute_size([operator.last - operator.first + 1 for operator in inner])
         elif join:
-            kind, operator = tables.JOINED, join.operator
-            ends = [self._add_state(end) if end else -1 for end in (join.lower, join.upper)]
-            operands = [self._add_state(child) for child in operator.children]
-            operands = operands if len(operands) == 2 else [-1, *operands]
+            kind, operator, ends = tables.JOINED, join.operator, joined.find_ends(term.pick, join)
+            states = [children[0] if until else None, operator.children[-1]]
+            states += [operator.children[0] if len(operator.children) == 2 else None, join.lower, join.upper]
+            left, right, *others = (self._add_state(state) if state else -1 for state in states)
+            operands = [left, right]
             unseen = self._add_numbers([*compute_range(term, self.bounds), *compute_range(operator, self.bounds)])
-            varying = joined.BOTH
-            if len(operator.children) == 1 and (join.upper if operator.pick is max else join.lower) is None:
-                varying = joined.LOW if operator.pick is max else joined.HIGH
-            size = joined.compute_size(operator.first, operator.last, varying)
-            more = [operator.first, operator.last, 0, 0, _pick(operator.pick), *ends, varying]
+            size = joined.compute_size(operator.first, operator.last, ends)
+            more = [operator.first, operator.last, 0, 0, _pick(operator.pick), *others, ends]
         else:
             kind = tables.OPEN_UNTIL if until else tables.OPEN_EXTREME
             operands = [self._add_node(child) for child in children]

@@ -1,15 +1,18 @@
-"""Always or eventually of one operator joined with formulas about one instant, in constant time per sample.
+"""Operators about one operator joined with formulas about one instant, in constant time per sample.
 
-Such as F[0,20] (p & G[0,5] q), G[0,20] (p -> F[0,5] q) and G[0,20] (p U[0,5] q). The formula inside is monotone in
-the operator's value x, hence max(lower, min(upper, x)), a clamp: its ends are what it is for x = -inf and x = +inf, and
-clamps compose to clamps. An eventually, always or until is the clamps of its samples one after another, applied to what
-comes after the window: max(q, x), min(q, x), max(min(p, q), min(p, x)).
+Such as F[0,20] (p & G[0,5] q), G[0,20] (p -> F[0,5] q), G[0,20] (p U[0,5] q) and p U[0,20] G[0,5] q. What stands inside
+is monotone in the inner operator's value x, hence a clamp max(lower, min(upper, x)), whose ends are what it is for
+x = -inf and x = inf. Clamps one after another are a clamp again, and so is the least or greatest of clamps of the same
+x. An inner operator is a clamp per sample, one after another, of what comes after the window: of eventually
+max(q, x), of always min(q, x), of until max(min(p, q), min(p, x)).
 
-An instant whose window begins after the present sample is early (of an until the left side counts already), one whose
-window holds it is open. All open instants see the same samples to come, hence all of them together are a clamp of what
-these samples give. A stretch of instants is followed by two clamps: of its samples, and of its instants. A stretch and
-a later one: the samples of the later one act on the instants of both. That is associative, so that the early and the
-open instants are two sliding windows (see sliding.py) of such pairs.
+An instant is early while its inner interval has not begun (of an until the left side counts already), open until that
+has ended, then final. All open instants see the same samples to come, so that all together they are a clamp of what
+these give. Follow a stretch of instants by two clamps, of its samples and of its instants. Of a stretch and a later one
+together, the later one's samples act on the instants of both. This is associative: early and open instants are sliding
+windows of such pairs (van Herk 1992, Gil & Werman 1993, see sliding.py).
+
+Of an outer until the left side is known wherever the right one is, and joins it as a formula about one instant.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from impact_envs.stl.compiled_formula import (
     LAST,
     LAST_2,
     LEFT,
+    LEFT_2,
     LOWER,
     MAX,
     MIN,
@@ -38,16 +42,32 @@ from impact_envs.stl.compiled_formula import (
 )
 from impact_envs.stl.sliding import worst
 from impact_envs.stl.state import PLACE, combine, compute_state
+from impact_envs.stl.term import Join, Pick
 
-# Memory of a row: the extreme of the final instants, and two windows: of open instants, and of early ones. A window is
-# its place in the block, the two clamps of the block so far, and two clamps per instant. In the present block these are
-# of the instant's sample and of the instant alone. In the last one they are of the instant alone after the rest of the
-# block, and of this instant and the later ones together.
-BEST, OPEN = range(2)
+# Memory of a row: the extreme of the final instants, that of an outer until's left side, and two windows, of open and
+# of early instants. A window is its place in the block, the two clamps of the block so far, and two clamps per instant.
+# In the present block these are of the instant's sample and of the instant without samples. In the last one they are
+# of the instant after the rest of the block, and of it and the later ones together.
+BEST, HELD, OPEN = range(3)
 SAMPLES, INSTANTS = 1, 3
 HEAD = 5
 # Which ends of all clamps vary; the others are infinite. The number is also how many numbers are kept of an instant.
 BOTH, LOW, HIGH = 4, 2, -2
+
+
+def find_ends(pick: Pick, join: Join) -> int:
+    """Return which ends of the clamps vary.
+
+    Args:
+        pick: of the outer operator.
+        join: what it is about.
+    """
+    operator = join.operator
+    if len(operator.children) == 2 or operator.pick is pick:
+        return BOTH
+    if operator.pick is max:
+        return BOTH if join.upper else LOW
+    return BOTH if join.lower else HIGH
 
 
 def compute_size(first: int, last: int, ends: int) -> int:
@@ -177,6 +197,7 @@ def start_joined(formula: CompiledFormula, memory: Any, k: int, i: int) -> None:
     slot, pick, first, ends = root[i, SLOT], root[i, PICK], root[i, FIRST_2], root[i, ENDS]
     width = root[i, LAST_2] - first
     memory[k, slot + BEST] = worst(pick)
+    memory[k, slot + HELD] = worst(1 - pick)
     clear_window(memory, k, slot + OPEN, width, pick, ends)
     clear_window(memory, k, slot + OPEN + HEAD + abs(ends) * width, first, pick, ends)
 
@@ -185,39 +206,47 @@ def start_joined(formula: CompiledFormula, memory: Any, k: int, i: int) -> None:
 def update_joined(
     formula: CompiledFormula, memory: Any, k: int, count: int, signals: Any, i: int
 ) -> tuple[float, float]:
-    """Return the interval of an always or eventually of an operator joined with formulas about one instant."""
+    """Return the interval of an operator about one operator joined with formulas about one instant."""
     root, numbers = formula.root, formula.numbers
     pick, inner, slot, unseen = root[i, PICK], root[i, PICK_2], root[i, SLOT] & PLACE, root[i, UNSEEN] & PLACE
     first, last, first_2, last_2 = root[i, FIRST], root[i, LAST], root[i, FIRST_2], root[i, LAST_2]
-    best, lower, upper = memory[k, slot + BEST], worst(pick), worst(pick)
+    best, held, lower, upper = memory[k, slot + BEST], memory[k, slot + HELD], worst(pick), worst(pick)
     low = high = worst(pick)
+    if count <= last and root[i, LEFT] >= 0:
+        held = combine(1 - pick, held, compute_state(formula, memory, k, signals, root[i, LEFT]))
+        memory[k, slot + HELD] = held
     if first <= count <= last + last_2:
+        width, how = last_2 - first_2, (pick, root[i, ENDS])
         if count <= last:
             lower, upper = -math.inf, math.inf
             if root[i, LOWER] >= 0:
                 lower = compute_state(formula, memory, k, signals, root[i, LOWER])
             if root[i, UPPER] >= 0:
                 upper = compute_state(formula, memory, k, signals, root[i, UPPER])
+            lower, upper = combine(1 - pick, lower, held), combine(1 - pick, upper, held)
         left = worst(1 - inner)
-        if root[i, LEFT] >= 0:
-            left = compute_state(formula, memory, k, signals, root[i, LEFT])
-        width, how = last_2 - first_2, (pick, root[i, ENDS])
-        worst_case, best_case = numbers[unseen + 2], numbers[unseen + 3]
-        held = (-math.inf, left) if inner == MAX else (left, math.inf)
+        if root[i, LEFT_2] >= 0:
+            left = compute_state(formula, memory, k, signals, root[i, LEFT_2])
         if first_2 > 0:
-            early = slot + OPEN + HEAD + abs(how[1]) * width
-            lower, upper, a, b = pass_window(memory, k, early, first_2, how, held, (lower, upper))
-            low, high = clamp(a, b, worst_case), clamp(a, b, best_case)
+            sample = (-math.inf, left) if inner == MAX else (left, math.inf)
+            head = slot + OPEN + HEAD + abs(how[1]) * width
+            lower, upper, a, b = pass_window(memory, k, head, first_2, how, sample, (lower, upper))
+            low, high = clamp(a, b, numbers[unseen + 2]), clamp(a, b, numbers[unseen + 3])
         if count >= first + first_2:
             value = combine(1 - inner, left, compute_state(formula, memory, k, signals, root[i, RIGHT]))
             sample = (value, left) if inner == MAX else (left, value)
-            a, b, lower, upper = pass_window(memory, k, slot + OPEN, width, how, sample, (lower, upper))
-            low = combine(pick, low, clamp(lower, upper, worst_case))
-            high = combine(pick, high, clamp(lower, upper, best_case))
-            best = combine(pick, best, a if inner == MAX else b)  # of a final instant, no more samples come
+            if width > 0:
+                a, b, lower, upper = pass_window(memory, k, slot + OPEN, width, how, sample, (lower, upper))
+            else:
+                a, b = clamp(lower, upper, sample[0]), clamp(lower, upper, sample[1])
+                lower = upper = worst(pick)
+            low = combine(pick, low, clamp(lower, upper, numbers[unseen + 2]))
+            high = combine(pick, high, clamp(lower, upper, numbers[unseen + 3]))
+            best = combine(pick, best, a if inner == MAX else b)  # of a final instant: no samples come after its last
             memory[k, slot + BEST] = best
     if count >= last + last_2:
         return best, best
     if count < last:
-        low, high = combine(pick, low, numbers[unseen]), combine(pick, high, numbers[unseen + 1])
+        low = combine(pick, low, combine(1 - pick, held, numbers[unseen]))
+        high = combine(pick, high, combine(1 - pick, held, numbers[unseen + 1]))
     return combine(pick, best, low), combine(pick, best, high)

@@ -1,4 +1,6 @@
-"""Parts of a formula followed instant by instant: operators inside operators that are no alternation (alternation.py).
+"""Parts of a formula followed instant by instant: operators inside operators for which there is no faster way.
+
+Those are in alternation.py and joined.py.
 
 A node is a part of a formula inside a temporal operator inside which there is another one. After sample
 ``count`` its value at instant t is what the bounds alone allow for t > count - EARLIEST, final for t <= count -

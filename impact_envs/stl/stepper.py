@@ -2,7 +2,7 @@
 
 The intervals are those of the recursion in tests/impact_envs/stl/oracle.py to the last bit (of operators inside
 operators but for the sign of a zero, which numpy leaves open). Here are the operators over formulas without temporal
-operators; alternation.py and nested.py have those over others.
+operators; alternation.py, joined.py and nested.py have those over others.
 
 Source: Deshmukh et al. 2017 (see monitor.py).
 """

@@ -124,9 +124,11 @@ def is_state(term: Term) -> bool:
 
 @dataclass(frozen=True)
 class Join:
-    """An operator over states, and the states it is clamped between: max(lower, min(upper, operator)).
+    """A Boolean combination of states and one operator over states: max(lower, min(upper, operator)).
 
-    None stands for an end that is infinite.
+    Attributes:
+        operator: may stand more than once in the combination.
+        lower, upper: states; None stands for -inf and inf.
     """
 
     operator: Operator
@@ -135,19 +137,17 @@ class Join:
 
 
 def find_join(term: Operator) -> Join | None:
-    """Return the join that an always or eventually is about; None if it is about something else.
+    """Return the join that an operator is about, of an until its right side; None if it is about something else.
 
     Args:
         term: any.
     """
-    if len(term.children) == 2:
-        return None
-    (inner,) = term.children
+    *left, inner = term.children
     operators = set(_walk_operators(inner))
-    if len(operators) != 1:
+    if len(operators) != 1 or not all(map(is_state, left)):
         return None
     (operator,) = operators
-    if operator.first == operator.last or not all(map(is_state, operator.children)):
+    if not all(map(is_state, operator.children)):
         return None
     return Join(operator, _find_limit(inner, max), _find_limit(inner, min))
 
@@ -162,7 +162,7 @@ def _walk_operators(term: Term) -> Iterator[Operator]:
 
 
 def _find_limit(term: Term, loses: Pick) -> Term | None:
-    """Return what a term is where its operators are -inf, which loses against all in max, or inf; None if the same."""
+    """Return a join's end: what it is where its operator is -inf, which ``loses`` in max, or inf; None if that too."""
     if isinstance(term, Operator):
         return None
     if not isinstance(term, Combination):

@@ -70,11 +70,41 @@ def draw_formula(rng, depth):
 
 def draw_alternation(rng, depth):
     """Return always eventually always ... of a formula about one instant, or its dual."""
-    formula = draw_predicate(rng) if rng.integers(2) else And((draw_predicate(rng), Not(draw_predicate(rng))))
+    formula = draw_state(rng)
     kinds = [Always, Eventually] if rng.integers(2) else [Eventually, Always]
     for level in range(depth):
         formula = kinds[level % 2](draw_interval(rng), formula)
     return formula
+
+
+def draw_join(rng):
+    """Return an operator about one operator joined with formulas about one instant."""
+    interval = draw_interval(rng)
+    match rng.integers(3):
+        case 0:
+            inner = Always(interval, draw_state(rng))
+        case 1:
+            inner = Eventually(interval, draw_state(rng))
+        case _:
+            inner = Until(interval, draw_state(rng), draw_state(rng))
+    for _ in range(rng.integers(4)):
+        kind = (And, Or, Implies)[rng.integers(3)]
+        parts = [inner, draw_state(rng)] if rng.integers(2) else [draw_state(rng), inner]
+        inner = Implies(*parts) if kind is Implies else kind(tuple(parts))
+    outer = draw_interval(rng)
+    match rng.integers(4):
+        case 0:
+            formula = Always(outer, inner)
+        case 1:
+            formula = Eventually(outer, inner)
+        case _:
+            formula = Until(outer, draw_state(rng), inner)
+    return Not(formula) if rng.integers(2) else formula
+
+
+def draw_state(rng):
+    """Return a formula about one instant."""
+    return draw_predicate(rng) if rng.integers(2) else And((draw_predicate(rng), Not(draw_predicate(rng))))
 
 
 def draw_bounds(rng):
