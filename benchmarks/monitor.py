@@ -38,6 +38,7 @@ FORMULAS = {
     "until inside": "G[0,25] (pop in wide U[0,10] pop in goal)",
     "late until inside": "G[0,25] (pop in wide U[3,10] pop in goal)",
     "until reach and stay": "pop in wide U[0,25] G[0,10] pop in goal",
+    "two responses": "G[0,25] (pop in wide -> F[0,10] pop in goal & G[0,5] pop in wide)",
     "two inside": "F[0,25] (G[0,5] pop in wide & F[0,10] pop in goal)",
     "sequence": "F[0,20] (pop in wide & F[0,10] (pop in goal & F[0,5] pop in wide))",
     "nested four times": "F[0,15] G[0,5] F[0,10] G[0,5] pop in goal",

@@ -23,6 +23,7 @@ from impact_envs.stl.term import (
     compute_range,
     find_join,
     is_state,
+    join_states,
     make_term,
     other,
     split_operators,
@@ -165,11 +166,7 @@ class _Builder:
                 return self._add_until(term.pick, term.first, term.last, *nodes)
             return self._join(tables.EXTREME_NODE, term.pick, term.first, term.last, nodes[0], nodes[0])
         assert isinstance(term, Combination)
-        parts = [child for child in term.children if not is_state(child)]
-        states = tuple(child for child in term.children if is_state(child))
-        if states:
-            parts.append(states[0] if len(states) == 1 else Combination(term.pick, states))
-        nodes = [self._add_node(part) for part in parts]
+        nodes = [self._add_node(part) for part in join_states(term)]
         return reduce(lambda a, b: self._join(tables.JOIN_NODE, term.pick, 0, 0, a, b), nodes)
 
     def _add_until(self, pick: Pick, first: int, last: int, left: int, right: int) -> int:

@@ -105,14 +105,40 @@ def split_operators(term: Term) -> Term:
     if not isinstance(term, Operator) or len(term.children) == 2:
         return term
     (inner,) = term.children
-    if not isinstance(inner, Combination) or inner.pick is not term.pick or is_state(inner):
+    if not isinstance(inner, Combination) or is_state(inner):
         return term
-    states = tuple(part for part in inner.children if is_state(part))
-    parts = [part for part in inner.children if not is_state(part)]
-    if states:
-        parts.append(states[0] if len(states) == 1 else Combination(term.pick, states))
+    parts = join_states(inner) if inner.pick is term.pick else _distribute(inner)
+    if len(parts) == 1:
+        return term
     each = [_merge(Operator(term.pick, term.first, term.last, (part,))) for part in parts]
     return split_operators(Combination(term.pick, tuple(each)))
+
+
+def join_states(term: Combination) -> list[Term]:
+    """Return the operands, those without temporal operators joined to one, the last.
+
+    Args:
+        term: any.
+    """
+    states = tuple(child for child in term.children if is_state(child))
+    parts = [child for child in term.children if not is_state(child)]
+    if states:
+        parts.append(states[0] if len(states) == 1 else Combination(term.pick, states))
+    return parts
+
+
+def _distribute(term: Combination) -> list[Term]:
+    """Return the operands of an equal term of the other pick, a | (b & c) = (a | b) & (a | c), if they part operators.
+
+    Only over one operand, so that there are not many more operators than before.
+    """
+    inside = [child for child in term.children if isinstance(child, Combination) and not is_state(child)]
+    if len(inside) != 1:
+        return [term]
+    rest = tuple(child for child in term.children if child is not inside[0])
+    parts: list[Term] = [Combination(term.pick, (*rest, *_open(part, term.pick))) for part in join_states(inside[0])]
+    counts = [len(set(_walk_operators(part))) for part in (term, *parts)]
+    return parts if counts[0] > max(counts[1:]) == 1 else [term]
 
 
 def is_state(term: Term) -> bool:

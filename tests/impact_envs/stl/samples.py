@@ -78,28 +78,27 @@ def draw_alternation(rng, depth):
 
 
 def draw_join(rng):
-    """Return an operator about one operator joined with formulas about one instant."""
-    interval = draw_interval(rng)
+    """Return an operator about an operator, or some, joined with formulas about one instant."""
+    inner = draw_operator(rng)
+    for _ in range(rng.integers(4)):
+        kind, other = (And, Or, Implies)[rng.integers(3)], draw_operator(rng) if rng.random() < 0.2 else draw_state(rng)
+        parts = [inner, other] if rng.integers(2) else [other, inner]
+        inner = Implies(*parts) if kind is Implies else kind(tuple(parts))
+    formula = (Always, Eventually)[rng.integers(2)](draw_interval(rng), inner)
+    if rng.integers(2):
+        formula = Until(draw_interval(rng), draw_state(rng), inner)
+    return Not(formula) if rng.integers(2) else formula
+
+
+def draw_operator(rng):
+    """Return an operator about formulas about one instant."""
     match rng.integers(3):
         case 0:
-            inner = Always(interval, draw_state(rng))
+            return Always(draw_interval(rng), draw_state(rng))
         case 1:
-            inner = Eventually(interval, draw_state(rng))
+            return Eventually(draw_interval(rng), draw_state(rng))
         case _:
-            inner = Until(interval, draw_state(rng), draw_state(rng))
-    for _ in range(rng.integers(4)):
-        kind = (And, Or, Implies)[rng.integers(3)]
-        parts = [inner, draw_state(rng)] if rng.integers(2) else [draw_state(rng), inner]
-        inner = Implies(*parts) if kind is Implies else kind(tuple(parts))
-    outer = draw_interval(rng)
-    match rng.integers(4):
-        case 0:
-            formula = Always(outer, inner)
-        case 1:
-            formula = Eventually(outer, inner)
-        case _:
-            formula = Until(outer, draw_state(rng), inner)
-    return Not(formula) if rng.integers(2) else formula
+            return Until(draw_interval(rng), draw_state(rng), draw_state(rng))
 
 
 def draw_state(rng):

@@ -194,6 +194,7 @@ def test_memory_of_nested_operators_grows_with_the_inner_ones_only():
         "G[0,20] (pop in goal -> not G[1,5] snap in goal)",
         "not F[3,20] (pop in goal & (snap in wall | not (pop in goal U[2,5] snap in goal)))",
         "pop in goal U[0,20] (snap in wall & F[5,5] snap in goal)",
+        "G[0,20] (pop in goal -> F[0,5] snap in goal & G[2,9] snap in wall & (pop in wall | F[0,3] pop in goal))",
         "G[0,20] ((pop in goal & F[0,5] snap in goal) | (snap in wall & F[0,5] snap in goal))",
     ],
 )
