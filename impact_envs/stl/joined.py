@@ -51,7 +51,7 @@ from impact_envs.stl.term import Join, Pick
 BEST, HELD, OPEN = range(3)
 SAMPLES, INSTANTS = 1, 3
 HEAD = 5
-# Which ends of all clamps vary; the others are infinite. The number is also how many numbers are kept of an instant.
+# Which ends of all clamps vary; the others are infinite. The magnitude is how many numbers are kept of an instant.
 BOTH, LOW, HIGH = 4, 2, -2
 
 
