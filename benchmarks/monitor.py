@@ -30,11 +30,18 @@ from impact_envs.stl.stepper import start_monitor, update_monitor
 PERIOD, LIMIT = 0.1, 3.0  # between samples [s]; of both coordinates [m]
 FORMULAS = {
     "flat": "G[0,35] pop in goal",
+    "flat until": "pop in wide U[0,35] pop in goal",
     "nested twice": "G[0,25] F[0,10] pop in goal",
     "nested three times": "G[0,20] F[0,10] G[0,5] pop in goal",
-    "nested four times": "F[0,15] G[0,5] F[0,10] G[0,5] pop in goal",
     "reach and stay": "F[0,25] (pop in wide & G[0,10] pop in goal)",
+    "response": "G[0,25] (pop in wide -> F[0,10] pop in goal)",
     "until inside": "G[0,25] (pop in wide U[0,10] pop in goal)",
+    "late until inside": "G[0,25] (pop in wide U[3,10] pop in goal)",
+    "until reach and stay": "pop in wide U[0,25] G[0,10] pop in goal",
+    "two responses": "G[0,25] (pop in wide -> F[0,10] pop in goal & G[0,5] pop in wide)",
+    "two inside": "F[0,25] (G[0,5] pop in wide & F[0,10] pop in goal)",
+    "sequence": "F[0,20] (pop in wide & F[0,10] (pop in goal & F[0,5] pop in wide))",
+    "nested four times": "F[0,15] G[0,5] F[0,10] G[0,5] pop in goal",
 }
 SIGNALS = ("pop.x", "pop.y")
 BOUNDS = dict.fromkeys(SIGNALS, (-LIMIT, LIMIT))

@@ -66,7 +66,7 @@ def compute_size(widths: Sequence[int]) -> int:
     Args:
         widths: of the operators inside, outer one first [samples].
     """
-    return HEAD + (widths[0] if len(widths) == 1 else 3 * sum(widths))
+    return HEAD + (widths[0] if len(widths) == 1 else 2 * sum(widths))
 
 
 @compiled
@@ -108,7 +108,7 @@ def update_twofold(
     return sign * low, sign * high
 
 
-@inlined
+@compiled
 def update_threefold(
     formula: CompiledFormula, memory: Any, k: int, count: int, signals: Any, i: int
 ) -> tuple[float, float]:
@@ -161,24 +161,24 @@ def move_crossing(
     width_3 = (root[i, LAST_3] - root[i, FIRST_3] + 1) & PLACE
     since_final = count - root[i, FIRST] - root[i, FIRST_2] - root[i, LAST_3]
     since_sample = count - root[i, FIRST] - root[i, LAST_2] - root[i, FIRST_3]
-    stacks_2 = slot + HEAD + width_2 + width_3
-    stacks_3 = stacks_2 + 2 * width_2
+    ring_2 = slot + HEAD + width_2 + width_3
+    ring_3 = ring_2 + width_2
     passed, crossing = memory[k, slot + PASSED], int(memory[k, slot + CROSSING])
     if since_final >= 0:
         passed = combine(MAX, passed, extreme)
         if crossing <= length:
-            push(memory, k, slot + FINALS, stacks_2, width_2, MAX, extreme)
+            push(memory, k, slot + FINALS, ring_2, width_2, MAX, extreme)
     if since_sample >= 0 and crossing <= length:
-        push(memory, k, slot + SAMPLES, stacks_3, width_3, MIN, value)
+        push(memory, k, slot + SAMPLES, ring_3, width_3, MIN, value)
     held = worst(MIN)
     while crossing <= min(length, since_sample):  # there is a sample in the queue
-        held = read_queue(memory, k, slot + SAMPLES, stacks_3, MIN)
-        reached = read_queue(memory, k, slot + FINALS, stacks_2, MAX)
+        held = read_queue(memory, k, slot + SAMPLES, ring_3, MIN)
+        reached = read_queue(memory, k, slot + FINALS, ring_2, MAX)
         if reached < held:
             break
         passed, held = reached, worst(MIN)
-        drop(memory, k, slot + FINALS, stacks_2, width_2, MAX)
-        drop(memory, k, slot + SAMPLES, stacks_3, width_3, MIN)
+        drop(memory, k, slot + FINALS, ring_2, width_2, MAX)
+        drop(memory, k, slot + SAMPLES, ring_3, width_3, MIN)
         crossing += 1
     memory[k, slot + PASSED] = passed
     memory[k, slot + CROSSING] = crossing

@@ -41,9 +41,11 @@ UNTIL = 2
 # an alternation of eventually and always over such a formula:
 TWOFOLD = 3  # such as always eventually
 THREEFOLD = 4  # such as always eventually always
+# an operator of such a formula and one about one operator joined with such formulas:
+JOINED = 5
 # and over any formulas, which are nodes:
-OPEN_EXTREME = 5
-OPEN_UNTIL = 6
+OPEN_EXTREME = 6
+OPEN_UNTIL = 7
 
 # Kinds of a node: without temporal operators, a conjunction or disjunction of two nodes, and operators over nodes.
 STATE_NODE, JOIN_NODE, EXTREME_NODE, UNTIL_NODE = range(4)
@@ -52,5 +54,6 @@ STATE_NODE, JOIN_NODE, EXTREME_NODE, UNTIL_NODE = range(4)
 KIND, HOW = range(2)
 COLUMN, NUMBER, COUNT = range(2, 5)
 PICK, FIRST, LAST, LEFT, RIGHT, SLOT, UNSEEN = range(2, 9)
-FIRST_2, LAST_2, FIRST_3, LAST_3 = range(9, 13)  # of ``root``: the operators inside an alternation
+FIRST_2, LAST_2, FIRST_3, LAST_3 = range(9, 13)  # of ``root``: the operators inside an alternation or join
+PICK_2, LEFT_2, LOWER, UPPER, ENDS = range(13, 18)  # of ``root``: the operator inside a join, and what clamps it
 EARLIEST, REACH, START, END, MASK, STRIDE = range(9, 15)  # of ``nodes``

@@ -10,7 +10,7 @@ from functools import reduce
 import numpy as np
 
 from impact_envs.errors import InputError, choices
-from impact_envs.stl import alternation
+from impact_envs.stl import alternation, joined
 from impact_envs.stl import compiled_formula as tables
 from impact_envs.stl.compiled_formula import CompiledFormula
 from impact_envs.stl.formula import Formula
@@ -21,7 +21,9 @@ from impact_envs.stl.term import (
     Pick,
     Term,
     compute_range,
+    find_join,
     is_state,
+    join_states,
     make_term,
     other,
     split_operators,
@@ -114,15 +116,15 @@ class _Builder:
         """Append the rows of a whole formula."""
         for kind, how, depth, leaf in _linearise(term, lambda part: is_state(part) or isinstance(part, Operator)):
             if leaf is None:
-                self.root.append([kind, how, 0, 0, 0, 0, 0, self._scratch("root", depth, 2), 0, 0, 0, 0, 0])
+                self.root.append([kind, how, 0, 0, 0, 0, 0, self._scratch("root", depth, 2)])
             else:  # what is no operator is about the first sample
                 self._add_operator(how, leaf if isinstance(leaf, Operator) else Operator(max, 0, 0, (leaf,)))
 
     def _add_operator(self, how: int, term: Operator) -> None:
-        """Append an operator of the root: over states, over an alternation that ends in one, or over nodes."""
+        """Append an operator of the root: over states, an alternation, a join or nodes."""
         children, until = term.children, len(term.children) == 2
-        inner = _find_alternation(term)
-        windows = [number for operator in inner for number in (operator.first, operator.last)]
+        inner, join = _find_alternation(term), find_join(term)
+        more = [number for operator in inner for number in (operator.first, operator.last)]
         unseen = 0
         if all(map(is_state, children)):
             kind = tables.UNTIL if until else tables.EXTREME
@@ -134,6 +136,15 @@ class _Builder:
             operands = [self._add_state(inner[-1].children[0])]
             unseen = self._add_numbers(compute_range(term, self.bounds))
             size = alternation.compute_size([operator.last - operator.first + 1 for operator in inner])
+        elif join:
+            kind, operator, ends = tables.JOINED, join.operator, joined.find_ends(term.pick, join)
+            states = [children[0] if until else None, operator.children[-1]]
+            states += [operator.children[0] if len(operator.children) == 2 else None, join.lower, join.upper]
+            left, right, *others = (self._add_state(state) if state else -1 for state in states)
+            operands = [left, right]
+            unseen = self._add_numbers([*compute_range(term, self.bounds), *compute_range(operator, self.bounds)])
+            size = joined.compute_size(operator.first, operator.last, ends)
+            more = [operator.first, operator.last, 0, 0, _pick(operator.pick), *others, ends]
         else:
             kind = tables.OPEN_UNTIL if until else tables.OPEN_EXTREME
             operands = [self._add_node(child) for child in children]
@@ -142,7 +153,7 @@ class _Builder:
             self.nodes[operands[-1]].need(term.first, term.last, reach)
             size = len(children)
         row = [term.first, term.last, operands[0], operands[-1], self._allocate(size), unseen]
-        self.root.append([kind, how, _pick(term.pick), *row, *windows, *[0] * (4 - len(windows))])
+        self.root.append([kind, how, _pick(term.pick), *row, *more])
 
     def _add_node(self, term: Term) -> int:
         """Return the node of a term."""
@@ -155,11 +166,7 @@ class _Builder:
                 return self._add_until(term.pick, term.first, term.last, *nodes)
             return self._join(tables.EXTREME_NODE, term.pick, term.first, term.last, nodes[0], nodes[0])
         assert isinstance(term, Combination)
-        parts = [child for child in term.children if not is_state(child)]
-        states = tuple(child for child in term.children if is_state(child))
-        if states:
-            parts.append(states[0] if len(states) == 1 else Combination(term.pick, states))
-        nodes = [self._add_node(part) for part in parts]
+        nodes = [self._add_node(part) for part in join_states(term)]
         return reduce(lambda a, b: self._join(tables.JOIN_NODE, term.pick, 0, 0, a, b), nodes)
 
     def _add_until(self, pick: Pick, first: int, last: int, left: int, right: int) -> int:
@@ -227,7 +234,7 @@ class _Builder:
                     self.nodes[child].need(*window, node.reach - node.first)
         rows = [self._finish_node(node) for node in self.nodes]
         return CompiledFormula(
-            _table(self.root, tables.LAST_3 + 1),
+            _table(self.root, tables.ENDS + 1),
             _table(rows, tables.STRIDE + 1),
             np.array(self.starts, np.int32),
             _table(self.code, tables.COUNT + 1),
@@ -280,4 +287,4 @@ def _pick(pick: Pick) -> int:
 
 
 def _table(rows: list[list[int]], width: int) -> np.ndarray:
-    return np.array(rows, np.int32).reshape(-1, width)
+    return np.array([row + [0] * (width - len(row)) for row in rows], np.int32).reshape(-1, width)

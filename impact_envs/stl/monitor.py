@@ -27,7 +27,8 @@ class Monitor:
     The interval holds the final robustness as long as signals stay within the bounds; its lower end never
     decreases, its upper end never increases; after the last sample the formula looks at both ends equal
     ``robustness`` of the trace to the last bit. A step takes time independent of intervals for Boolean combinations
-    of temporal operators over predicates and of up to three alternating F and G; for other operators inside
+    of temporal operators over predicates, of up to three alternating F and G, and of operators about one operator
+    joined with predicates, as in F[0,20] (p & G[0,5] q) and G[0,20] (p U[0,5] q); for other operators inside
     operators, in proportion to the samples that the inner ones look ahead.
 
     This is the compiled evaluator of many worlds (stepper.py) with one.

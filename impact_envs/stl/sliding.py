@@ -3,9 +3,9 @@
 A window of fixed width keeps its values in blocks of that width. It is the end of the last block, gathered backward
 when that block was full, and the start of the present one, gathered forward. Source: van Herk 1992, Gil & Werman 1993.
 
-A queue is a window whose two ends move independently. It is two stacks: the first holds the oldest values, each
-replaced by the extreme of itself and of all below it; new values go on the second. When the first is empty, the second
-is moved to it. The head of a queue holds both lengths and the extreme of the second stack.
+A queue is a window whose two ends move independently, in a ring. Its oldest values are gathered: each is replaced by
+the extreme of itself and of the later ones of them. New values wait behind. When no gathered one is left, the waiting
+ones are gathered. The head of a queue holds the place of the oldest value, both counts and the extreme of the waiting.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from impact_envs.stl.compiled_formula import MAX
 from impact_envs.stl.state import PLACE, combine
 
 WINDOW = 2  # numbers at the head of a window of fixed width: place in the block, and the extreme of the block so far
-QUEUE = 3  # numbers at the head of a queue
-STACKED, WAITING, GATHERED = range(QUEUE)
+QUEUE = 4  # numbers at the head of a queue
+OLDEST, GATHERED, WAITING, EXTREME_WAITING = range(QUEUE)
 
 
 @inlined
@@ -60,46 +60,56 @@ def slide(memory: Any, k: int, head: int, ring: int, width: int, pick: int, valu
 @inlined
 def clear_queue(memory: Any, k: int, head: int, pick: int) -> None:
     """Forget what is in a queue."""
-    memory[k, head + STACKED] = 0.0
+    memory[k, head + OLDEST] = 0.0
+    memory[k, head + GATHERED] = 0.0
     memory[k, head + WAITING] = 0.0
-    memory[k, head + GATHERED] = worst(pick)
+    memory[k, head + EXTREME_WAITING] = worst(pick)
 
 
 @inlined
-def push(memory: Any, k: int, head: int, stacks: int, length: int, pick: int, value: float) -> None:
+def turn(place: int, length: int) -> int:
+    """Return a place of a ring, given as such or up to once around too far."""
+    return (place - length if place >= length else place) & PLACE
+
+
+@inlined
+def push(memory: Any, k: int, head: int, ring: int, length: int, pick: int, value: float) -> None:
     """Append a value to a queue.
 
     Args:
         memory: of all worlds, shape (worlds, ...); written.
         k: the world.
         head: place of the queue's ``QUEUE`` numbers.
-        stacks: place of its ``2 length`` values.
+        ring: place of its ``length`` values.
         length: of the queue at most.
         pick: MIN or MAX.
         value: finite.
     """
-    waiting = int(memory[k, head + WAITING]) & PLACE
-    memory[k, stacks + length + waiting] = value
+    oldest, gathered = int(memory[k, head + OLDEST]), int(memory[k, head + GATHERED])
+    waiting = int(memory[k, head + WAITING])
+    memory[k, ring + turn(oldest + gathered + waiting, length)] = value
     memory[k, head + WAITING] = waiting + 1.0
-    memory[k, head + GATHERED] = combine(pick, memory[k, head + GATHERED], value)
+    memory[k, head + EXTREME_WAITING] = combine(pick, memory[k, head + EXTREME_WAITING], value)
 
 
 @inlined
-def drop(memory: Any, k: int, head: int, stacks: int, length: int, pick: int) -> None:
+def drop(memory: Any, k: int, head: int, ring: int, length: int, pick: int) -> None:
     """Take the oldest value from a queue that is not empty."""
-    stacked = int(memory[k, head + STACKED]) & PLACE
-    if stacked == 0:
-        stacked, gathered = int(memory[k, head + WAITING]) & PLACE, worst(pick)
-        for j in range(stacked):
-            gathered = combine(pick, gathered, memory[k, (stacks + length + stacked - 1 - j) & PLACE])
-            memory[k, stacks + j] = gathered
+    oldest, gathered = int(memory[k, head + OLDEST]), int(memory[k, head + GATHERED])
+    if gathered == 0:
+        gathered, extreme = int(memory[k, head + WAITING]), worst(pick)
+        for j in range(1, gathered + 1):
+            at = ring + turn(oldest + gathered - j, length)
+            extreme = combine(pick, extreme, memory[k, at])
+            memory[k, at] = extreme
         memory[k, head + WAITING] = 0.0
-        memory[k, head + GATHERED] = worst(pick)
-    memory[k, head + STACKED] = stacked - 1.0
+        memory[k, head + EXTREME_WAITING] = worst(pick)
+    memory[k, head + OLDEST] = turn(oldest + 1, length)
+    memory[k, head + GATHERED] = gathered - 1.0
 
 
 @inlined
-def read_queue(memory: Any, k: int, head: int, stacks: int, pick: int) -> float:
+def read_queue(memory: Any, k: int, head: int, ring: int, pick: int) -> float:
     """Return the extreme of a queue, the worst number if it is empty."""
-    stacked, gathered = int(memory[k, head + STACKED]) & PLACE, memory[k, head + GATHERED]
-    return combine(pick, gathered, memory[k, (stacks + stacked - 1) & PLACE]) if stacked > 0 else gathered
+    oldest, waiting = int(memory[k, head + OLDEST]) & PLACE, memory[k, head + EXTREME_WAITING]
+    return combine(pick, waiting, memory[k, ring + oldest]) if memory[k, head + GATHERED] > 0 else waiting

@@ -2,7 +2,7 @@
 
 The intervals are those of the recursion in tests/impact_envs/stl/oracle.py to the last bit (of operators inside
 operators but for the sign of a zero, which numpy leaves open). Here are the operators over formulas without temporal
-operators; alternation.py and nested.py have those over others.
+operators; alternation.py, joined.py and nested.py have those over others.
 
 Source: Deshmukh et al. 2017 (see monitor.py).
 """
@@ -19,6 +19,7 @@ from impact_envs.stl.compiled_formula import (
     EXTREME,
     FIRST,
     HOW,
+    JOINED,
     KIND,
     LAST,
     LEFT,
@@ -35,6 +36,7 @@ from impact_envs.stl.compiled_formula import (
     UNTIL,
     CompiledFormula,
 )
+from impact_envs.stl.joined import start_joined, update_joined
 from impact_envs.stl.nested import update_nodes, update_open_extreme, update_open_until
 from impact_envs.stl.sliding import worst
 from impact_envs.stl.state import PLACE, combine, compute_state
@@ -91,6 +93,8 @@ def start_monitor(formula: CompiledFormula, memory: Any, k: int) -> None:
         kind = root[i, KIND]
         if kind in (TWOFOLD, THREEFOLD):
             start_alternation(formula, memory, k, i)
+        elif kind == JOINED:
+            start_joined(formula, memory, k, i)
         elif kind not in (PUSH, POP):
             memory[k, root[i, SLOT]] = worst(root[i, PICK])
             if kind in (UNTIL, OPEN_UNTIL):
@@ -130,6 +134,8 @@ def update_monitor(formula: CompiledFormula, memory: Any, k: int, count: int, si
                 a, b = update_twofold(formula, memory, k, count, signals, i)
             elif kind == THREEFOLD:
                 a, b = update_threefold(formula, memory, k, count, signals, i)
+            elif kind == JOINED:
+                a, b = update_joined(formula, memory, k, count, signals, i)
             elif kind == OPEN_EXTREME:
                 a, b = update_open_extreme(formula, memory, k, count, i)
             elif kind == OPEN_UNTIL:

@@ -7,7 +7,7 @@ the last bit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -105,14 +105,40 @@ def split_operators(term: Term) -> Term:
     if not isinstance(term, Operator) or len(term.children) == 2:
         return term
     (inner,) = term.children
-    if not isinstance(inner, Combination) or inner.pick is not term.pick or is_state(inner):
+    if not isinstance(inner, Combination) or is_state(inner):
         return term
-    states = tuple(part for part in inner.children if is_state(part))
-    parts = [part for part in inner.children if not is_state(part)]
-    if states:
-        parts.append(states[0] if len(states) == 1 else Combination(term.pick, states))
+    parts = join_states(inner) if inner.pick is term.pick else _distribute(inner)
+    if len(parts) == 1:
+        return term
     each = [_merge(Operator(term.pick, term.first, term.last, (part,))) for part in parts]
     return split_operators(Combination(term.pick, tuple(each)))
+
+
+def join_states(term: Combination) -> list[Term]:
+    """Return the operands, those without temporal operators joined to one, the last.
+
+    Args:
+        term: any.
+    """
+    states = tuple(child for child in term.children if is_state(child))
+    parts = [child for child in term.children if not is_state(child)]
+    if states:
+        parts.append(states[0] if len(states) == 1 else Combination(term.pick, states))
+    return parts
+
+
+def _distribute(term: Combination) -> list[Term]:
+    """Return the operands of an equal term of the other pick, a | (b & c) = (a | b) & (a | c), if they part operators.
+
+    Only over one operand, so that there are not many more operators than before.
+    """
+    inside = [child for child in term.children if isinstance(child, Combination) and not is_state(child)]
+    if len(inside) != 1:
+        return [term]
+    rest = tuple(child for child in term.children if child is not inside[0])
+    parts: list[Term] = [Combination(term.pick, (*rest, *_open(part, term.pick))) for part in join_states(inside[0])]
+    counts = [len(set(_walk_operators(part))) for part in (term, *parts)]
+    return parts if counts[0] > max(counts[1:]) == 1 else [term]
 
 
 def is_state(term: Term) -> bool:
@@ -120,6 +146,58 @@ def is_state(term: Term) -> bool:
     if isinstance(term, Combination):
         return all(is_state(child) for child in term.children)
     return not isinstance(term, Operator)
+
+
+@dataclass(frozen=True)
+class Join:
+    """A Boolean combination of states and one operator over states: max(lower, min(upper, operator)).
+
+    Attributes:
+        operator: may stand more than once in the combination.
+        lower, upper: states; None stands for -inf and inf.
+    """
+
+    operator: Operator
+    lower: Term | None
+    upper: Term | None
+
+
+def find_join(term: Operator) -> Join | None:
+    """Return the join that an operator is about, of an until its right side; None if it is about something else.
+
+    Args:
+        term: any.
+    """
+    *left, inner = term.children
+    operators = set(_walk_operators(inner))
+    if len(operators) != 1 or not all(map(is_state, left)):
+        return None
+    (operator,) = operators
+    if not all(map(is_state, operator.children)):
+        return None
+    return Join(operator, _find_limit(inner, max), _find_limit(inner, min))
+
+
+def _walk_operators(term: Term) -> Iterator[Operator]:
+    """Yield the outermost operators in a term."""
+    if isinstance(term, Operator):
+        yield term
+    elif isinstance(term, Combination):
+        for child in term.children:
+            yield from _walk_operators(child)
+
+
+def _find_limit(term: Term, loses: Pick) -> Term | None:
+    """Return a join's end: what it is where its operator is -inf, which ``loses`` in max, or inf; None if that too."""
+    if isinstance(term, Operator):
+        return None
+    if not isinstance(term, Combination):
+        return term
+    limits = [_find_limit(child, loses) for child in term.children]
+    rest = tuple(limit for limit in limits if limit is not None)
+    if not rest or (len(rest) < len(limits) and term.pick is not loses):
+        return None
+    return rest[0] if len(rest) == 1 else Combination(term.pick, rest)
 
 
 def other(pick: Pick) -> Pick:

@@ -88,7 +88,8 @@ def test_worlds_are_the_cpus(name, suite):
 @on_device
 def test_operators_inside_operators_are_the_cpus():
     alternations = "G[0,2] F[0,1] all in corridor & F[0,1] G[0,1] F[0.2,1] pop.y <= 2"
-    formula = f"{alternations} & G[0,2] (pop in goal -> F[0,1] snap in goal)"
+    joins = "G[0,2] (pop in goal -> F[0,1] snap in goal) & F[0,2] (pop in goal U[0.4,1] snap in goal)"
+    formula = f"{alternations} & {joins} & F[0,2] (G[0,1] pop in goal & F[0,1] (pop in goal U[0,1] snap in goal))"
     pair = make_pair(load_scenario("corridor").override({"formula": formula}))
     check_same(pair)
     run_both(pair, np.random.default_rng(2).uniform(-1.0, 1.0, (STEPS, WORLDS, 2, 3)), restarts=(10,))

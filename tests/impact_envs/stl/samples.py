@@ -70,11 +70,40 @@ def draw_formula(rng, depth):
 
 def draw_alternation(rng, depth):
     """Return always eventually always ... of a formula about one instant, or its dual."""
-    formula = draw_predicate(rng) if rng.integers(2) else And((draw_predicate(rng), Not(draw_predicate(rng))))
+    formula = draw_state(rng)
     kinds = [Always, Eventually] if rng.integers(2) else [Eventually, Always]
     for level in range(depth):
         formula = kinds[level % 2](draw_interval(rng), formula)
     return formula
+
+
+def draw_join(rng):
+    """Return an operator about an operator, or some, joined with formulas about one instant."""
+    inner = draw_operator(rng)
+    for _ in range(rng.integers(4)):
+        kind, other = (And, Or, Implies)[rng.integers(3)], draw_operator(rng) if rng.random() < 0.2 else draw_state(rng)
+        parts = [inner, other] if rng.integers(2) else [other, inner]
+        inner = Implies(*parts) if kind is Implies else kind(tuple(parts))
+    formula = (Always, Eventually)[rng.integers(2)](draw_interval(rng), inner)
+    if rng.integers(2):
+        formula = Until(draw_interval(rng), draw_state(rng), inner)
+    return Not(formula) if rng.integers(2) else formula
+
+
+def draw_operator(rng):
+    """Return an operator about formulas about one instant."""
+    match rng.integers(3):
+        case 0:
+            return Always(draw_interval(rng), draw_state(rng))
+        case 1:
+            return Eventually(draw_interval(rng), draw_state(rng))
+        case _:
+            return Until(draw_interval(rng), draw_state(rng), draw_state(rng))
+
+
+def draw_state(rng):
+    """Return a formula about one instant."""
+    return draw_predicate(rng) if rng.integers(2) else And((draw_predicate(rng), Not(draw_predicate(rng))))
 
 
 def draw_bounds(rng):

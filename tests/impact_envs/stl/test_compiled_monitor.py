@@ -23,6 +23,7 @@ from tests.impact_envs.stl.samples import (
     draw_alternation,
     draw_bounds,
     draw_formula,
+    draw_join,
     draw_trace,
 )
 
@@ -51,7 +52,11 @@ class Worlds:
 def check_random_formulas(seed, count):
     rng = np.random.default_rng(seed)
     for i in range(count):
-        formula = draw_alternation(rng, rng.integers(1, 5)) if i % 2 else draw_formula(rng, rng.integers(5))
+        formula = (
+            draw_formula(rng, rng.integers(5)),
+            draw_alternation(rng, rng.integers(1, 5)),
+            draw_join(rng),
+        )[i % 3]
         worlds = Worlds(formula, PERIOD, AREAS, BODIES, NAMES, draw_bounds(rng), 1)
         worlds.start(0)
         for sample in draw_trace(rng, worlds.oracles[0].reach + 3):
@@ -173,9 +178,28 @@ def test_memory_of_nested_operators_grows_with_the_inner_ones_only():
         "G[0,{0}] F[0,{1}] pop in goal",
         "F[0,{0}] G[0,{1}] F[0,1] pop in goal",
         "F[0,{0}] (pop in goal & G[0,{1}] snap in goal)",
+        "G[0,{0}] (pop in goal U[0,{1}] snap in goal)",
+        "G[0,{0}] (pop in goal -> F[0,{1}] (snap in goal & F[0,{1}] snap in wall))",
     ):
         assert size(text, 1000, 2) == size(text, 100, 2)
         assert size(text, 1000, 20) <= 10 * size(text, 1000, 2)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "G[0,20] F[0,10] pop in goal",
+        "G[0,20] F[0,10] G[0,5] pop in goal",
+        "F[0,20] (pop in goal & G[0,5] snap in goal)",
+        "G[0,20] (pop in goal -> not G[1,5] snap in goal)",
+        "not F[3,20] (pop in goal & (snap in wall | not (pop in goal U[2,5] snap in goal)))",
+        "pop in goal U[0,20] (snap in wall & F[5,5] snap in goal)",
+        "G[0,20] (pop in goal -> F[0,5] snap in goal & G[2,9] snap in wall & (pop in wall | F[0,3] pop in goal))",
+        "G[0,20] ((pop in goal & F[0,5] snap in goal) | (snap in wall & F[0,5] snap in goal))",
+    ],
+)
+def test_formulas_of_which_no_instant_is_computed_anew(text):
+    assert len(compile_formula(parse(text), PERIOD, AREAS, BODIES, NAMES).nodes) == 0
 
 
 def test_formulas_that_cannot_be_followed():

@@ -76,6 +76,31 @@ def test_until_interval():
     assert intervals == [(-5, 4), (1, 3), (2, 2), (2, 2)]
 
 
+@pytest.mark.parametrize(
+    ("text", "steps", "intervals"),
+    [
+        (
+            "F[0,2] (pop.x >= 0 & G[0,1] snap.x >= 0)",
+            [(3.0, 1.0), (2.0, 4.0), (-1.0, 2.0), (5.0, 3.0)],
+            [(-5, 5), (1, 5), (2, 2), (2, 2)],
+        ),
+        (
+            "G[0,1] (pop.x >= 0 U[1,2] snap.x >= 0)",
+            [(4.0, 5.0), (3.0, 1.0), (2.0, 2.0), (5.0, 5.0)],
+            [(-5, 4), (-5, 3), (2, 2), (2, 2)],
+        ),
+        (
+            "pop.x >= 0 U[0,2] G[0,1] snap.x >= 0",
+            [(4.0, 1.0), (3.0, 3.0), (2.0, 2.0), (5.0, 5.0)],
+            [(-5, 4), (1, 3), (2, 2), (2, 2)],
+        ),
+    ],
+)
+def test_intervals_of_joined_operators(text, steps, intervals):
+    monitor = make_monitor(text, {"pop.x": (-5, 5), "snap.x": (-5, 5)})
+    assert [monitor.update({"pop.x": a, "snap.x": b}) for a, b in steps] == intervals
+
+
 def test_nested_operators_are_decided_before_the_end():
     monitor = make_monitor("F[0,8] G[0,2] pop.x >= 0")
     intervals = feed(monitor, [-1.0, 1.0, 2.0, 1.0])
