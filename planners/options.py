@@ -1,15 +1,34 @@
-"""Options of an expert by their dotted names, as users set them: listed, and replaced in a copy."""
+"""Options of an expert by their dotted names, as users set them: listed, and replaced in a copy.
+
+A number is from 0 to a billion unless its field's type says otherwise: `Positive`, `Share`, `Cosine`,
+`Spread`, `Count`, `CountOrNone`.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar, get_type_hints
 
 from impact_envs.errors import InputError, choices
 
 Options = TypeVar("Options")
+
+
+class Limits(NamedTuple):
+    """The least and the greatest value of an option."""
+
+    least: float = 0.0
+    greatest: float = 1e9
+
+
+Positive = Annotated[float, Limits(1e-9)]
+Share = Annotated[float, Limits(0.0, 1.0)]
+Cosine = Annotated[float, Limits(-1.0, 1.0)]
+Spread = Annotated[float, Limits(0.0, 10.0)]  # of something without a unit
+Count = Annotated[int, Limits(1, 1000)]
+CountOrNone = Annotated[int, Limits(0, 1000)]
 
 
 def select_options(variant: str | None, variants: Mapping[str, Options], expert: Options) -> Options:
@@ -48,13 +67,16 @@ def replace_options(options: Options, values: Mapping[str, Any], owner: str = "e
         owner: what the options are called in an error.
 
     Raises:
-        InputError: an unknown name, or a value of another kind than the one it replaces.
+        InputError: an unknown name, a value of another kind than the one it replaces, or beyond its limits.
     """
     known = list_options(options)
     for name, value in values.items():
         if name not in known:
             raise InputError(f"{owner}.{name} is unknown; {choices(name, sorted(known))}")
-        options = _replace(options, name.split("."), _convert(f"{owner}.{name}", value, known[name]))
+        path = name.split(".")
+        value = _convert(f"{owner}.{name}", value, known[name])
+        _check_limits(f"{owner}.{name}", value, known[name], _find_limits(options, path))
+        options = _replace(options, path, value)
     return options
 
 
@@ -78,6 +100,22 @@ def _replace(options: Any, path: list[str], value: Any) -> Any:
     new = _replace(getattr(options, first), rest, value) if rest else value
     replace = dataclasses.replace if dataclasses.is_dataclass(options) else type(options)._replace
     return replace(options, **{first: new})
+
+
+def _find_limits(options: Any, path: list[str]) -> Limits:
+    for name in path[:-1]:
+        options = getattr(options, name)
+    hint = get_type_hints(type(options), include_extras=True)[path[-1]]
+    parts = (hint, *getattr(hint, "__args__", ()))  # a tuple's limits are those of its items
+    return next((found for part in parts for found in getattr(part, "__metadata__", ())), Limits())
+
+
+def _check_limits(name: str, value: Any, present: Any, limits: Limits) -> None:
+    for number in value if isinstance(value, tuple) else (value,):
+        if isinstance(number, bool) or not isinstance(number, int | float) or number == present:
+            continue
+        if not limits.least <= number <= limits.greatest:
+            raise InputError(f"{name} = {number:g}; choices: from {limits.least:g} to {limits.greatest:g}")
 
 
 def _convert(name: str, value: Any, present: Any) -> Any:

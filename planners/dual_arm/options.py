@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
-from impact_envs.errors import InputError
-from planners.options import replace_options, select_options
+from planners.options import Limits, Positive, replace_options, select_options
+
+Heights = Annotated[int, Limits(2, 50)]
+Height = Annotated[float, Limits(1e-3, 1.0)]
+Width = Annotated[float, Limits(0.1, 1e3)]
+Dwell = Annotated[float, Limits(1e-3)]  # a control period, at least
 
 
 @dataclass(frozen=True)
@@ -79,19 +83,13 @@ class ControllerOptions:
     w_normal: float = 1e-4
     w_slack: float = 1.0
     contact_force: float = 1.0
-    dwell: float = 0.015
+    dwell: Dwell = 0.015
     press: float = 10.0
     press_rise: float = 0.02
     soft_start: float = 0.3
     fade: float = 0.005
     grip: float = 25.0
     time_out: float = math.inf
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name != "impact_velocity" and not value >= 0.0:
-                raise InputError(f"expert.controller.{field.name} = {value:g} is negative; choices: 0 and above")
 
 
 class PredictionOptions(NamedTuple):
@@ -104,10 +102,10 @@ class PredictionOptions(NamedTuple):
         duration: of a simulated impact; contact becomes full within it [s].
     """
 
-    greatest_height: float = 0.05
-    heights: int = 5
-    rho: float = 15.0
-    duration: float = 0.05
+    greatest_height: Height = 0.05
+    heights: Heights = 5
+    rho: Width = 15.0
+    duration: Positive = 0.05
 
 
 class CorrectionOptions(NamedTuple):
@@ -122,10 +120,10 @@ class CorrectionOptions(NamedTuple):
     """
 
     first: float = 0.02
-    period: float = 0.25
+    period: Positive = 0.25
     log_range: float = 0.7
     rate: float = 50.0
-    lag_time: float = 0.05
+    lag_time: Positive = 0.05
 
 
 class Options(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from planners.options import replace_options, select_options
+from planners.options import Count, CountOrNone, Positive, replace_options, select_options
 
 
 class RegulatorOptions(NamedTuple):
@@ -20,8 +20,8 @@ class RegulatorOptions(NamedTuple):
 
     coefficients: str = "absolute_output"
     state_weights: tuple[float, float, float, float] = (1.0, 1.0, 0.5, 0.5)
-    effort_before: float = 1.0
-    effort_after: float = 0.1
+    effort_before: Positive = 1.0
+    effort_after: Positive = 0.1
     measured_base: bool = False
 
 
@@ -55,13 +55,13 @@ class RecoveryOptions(NamedTuple):
             delay of the measurements [control periods].
     """
 
-    thruster_gain: float = 50.0
+    thruster_gain: Positive = 50.0
     wheel_gain: float = 200.0
     joint_gain: float = 150.0
-    damping: float = 0.75
+    damping: Positive = 0.75
     momentum_time: float = 0.5
-    pulse_samples: int = 4
-    pulse_rest: int = 6
+    pulse_samples: Count = 4
+    pulse_rest: CountOrNone = 6
 
 
 class CorrectionOptions(NamedTuple):
@@ -74,7 +74,7 @@ class CorrectionOptions(NamedTuple):
         log_range: logarithm of the factor on the weights at correction 1.
     """
 
-    period: float = 3.0
+    period: Positive = 3.0
     goal_distance: float = 0.1
     torque_share: float = 0.05
     log_range: float = 2.0

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from impact_envs.errors import InputError, choices
+from planners.options import Cosine, Count, CountOrNone, Positive, Share, Spread
 
 # Options.tracker in compiled code: by the compiled MPC, by LQR, by an object that Python calls.
 BY_MPC, BY_LQR, BY_OBJECT = range(3)
@@ -33,12 +34,12 @@ class Estimation:
     # Beyond so many standard deviations, and so far, a position tells of an unseen event, such as a bounce off a wall.
     surprise: float = 6.0
     surprise_floor: float = 2e-3  # [m]
-    position_prior: float = 5e-3  # standard deviation of measured positions until it is estimated [m]
+    position_prior: Positive = 5e-3  # standard deviation of measured positions until it is estimated [m]
     position_floor: float = 1e-7  # of measured positions, at least [m]
     # Of measured velocities over that of positions per control period; a velocity that comes from differences of noisy
     # positions then hardly counts, an exact one counts fully.
-    velocity_ratio: float = 100.0
-    noise_memory: float = 50.0  # samples over which the position noise is estimated
+    velocity_ratio: Positive = 100.0
+    noise_memory: Positive = 50.0  # samples over which the position noise is estimated
     thrust: float = 4e-3  # unmodelled acceleration of robots [m/s^2],
     thrust_share: float = 0.15  # and this share of what they are pushed with
     flight: float = 1e-5  # unmodelled acceleration of objects [m/s^2]
@@ -50,19 +51,19 @@ class Estimation:
 class ImpactParameters:
     """Numbers of the estimate of restitution and mass ratio of every pair of robot and object."""
 
-    restitution_spread: float = 0.18  # standard deviation of a pair's restitution about the believed one
-    mass_spread: float = 0.17  # of the logarithm of an object's mass; both together give the gain a spread of 13 %
-    same_material: float = 0.9  # correlation of the restitutions of pairs with different objects,
-    same_object: float = 0.97  # and with the same object
+    restitution_spread: Spread = 0.18  # standard deviation of a pair's restitution about the believed one
+    mass_spread: Spread = 0.17  # of the logarithm of an object's mass; both together give the gain a spread of 13 %
+    same_material: Share = 0.9  # correlation of the restitutions of pairs with different objects,
+    same_object: Share = 0.97  # and with the same object
     wander: float = 0.05  # standard deviation of a pair's restitution from hit to hit, e.g. by their speed
     thrust_error: float = 2e-3  # of a robot's velocity over one control period, until it is learned [m/s]
     thrust_share: float = 0.1  # share of the velocity change by thrust that is unknown until then
-    error_memory: float = 20.0  # samples over which such errors are learned
+    error_memory: Positive = 20.0  # samples over which such errors are learned
     model_error: float = 0.01  # of the changes of object and robot, independent, relative to the approach speed
     object_floor: float = 5e-5  # of an observed change, at least [m/s]
     recoil_seconds: float = 1.5  # after a hit in which the robot's change is looked for [s]
     slowest: float = 1e-3  # approach that tells anything [m/s]
-    iterations: int = 8  # of Gauss-Newton
+    iterations: Count = 8  # of Gauss-Newton
     farthest: float = 1.5  # that one hit may move the logarithm of a mass ratio
 
 
@@ -75,17 +76,17 @@ class Timing:
     decision_settle: float = 2.5  # after the previous contact, at least [s]
     replan_window: float = 20.0  # before an impact, in which the course to it is planned anew [s];
     replan_last: float = 1.0  # but no later than this; later changes only shake the robot [s]
-    replan_period: float = 0.5  # [s]; Verhagen & Tumova, Sec. VI
+    replan_period: Positive = 0.5  # [s]; Verhagen & Tumova, Sec. VI
     earliest: float = 2.0  # before the expected impact a contact is taken for it [s]
     patience: float = 1.5  # after the expected impact it counts as missed [s]
     retry_in: float = 5.0  # a missed impact is tried again after [s]
-    retries: int = 3
+    retries: CountOrNone = 3
     observable: float = 1.0  # after a contact the object's velocity change can be observed [s]
-    learn_period: float = 0.5  # between looks at what a hit did [s]
+    learn_period: Positive = 0.5  # between looks at what a hit did [s]
     return_seconds: float = 12.0  # longest quintic back to the plan [s]
-    haste: float = 0.8  # share of the time until a window closes that a flight into it takes
+    haste: Share = 0.8  # share of the time until a window closes that a flight into it takes
     fast: float = 0.2  # speed of such a flight, at most [m/s]
-    fastest_clock: float = 1.5  # plan seconds per second; more would force the end pose within the few seconds left
+    fastest_clock: Positive = 1.5  # plan seconds per second; more would force the end pose within the few seconds left
 
 
 @dataclass(frozen=True)
@@ -95,12 +96,12 @@ class Aim:
     shortest_leg: float = 5.0  # a delayed impact makes the object no faster than for a leg of this duration [s]
     # The last impact brings the object to its end if as much time is left, otherwise only deep enough into its goal.
     full_correction: float = 15.0  # [s]
-    deep_enough: float = 0.65  # share of the plan's margin
+    deep_enough: Share = 0.65  # share of the plan's margin
     bend: float = 0.25  # from the straight way that a drifting object may fly, at most half the next knot's depth [m]
     cruise: float = 0.15  # speed at which any leg can be flown [m/s]
-    shares: int = 20  # of the way to the plan's end that are tried,
+    shares: Count = 20  # of the way to the plan's end that are tried,
     smallest: float = 1e-3  # and the preference for a short way [m]
-    same_side: float = 0.3  # cosine by which an impulse may turn from the planned normal without its robot going round
+    same_side: Cosine = 0.3  # cosine by which an impulse may turn from the planned normal without its robot going round
     other_side: float = 1.0  # how much less a way to the plan's end is worth where it has to [m]
     scale_range: float = 0.5  # of the logarithm of the impulse, at a learner's correction of 1
     rotation_range: float = 0.3  # of the impulse, at a learner's correction of 1 [rad]
@@ -110,15 +111,15 @@ class Aim:
 class Reach:
     """What a robot is taken to be able to do."""
 
-    ease: float = 0.75  # share of the thrust that a course to an impact may need
+    ease: Share = 0.75  # share of the thrust that a course to an impact may need
 
 
 @dataclass(frozen=True)
 class Replanning:
     """The course of a robot to an impact."""
 
-    central: float = 0.966  # cosine by which an impulse may turn to go through the centre of an object that is no disc
-    postponements: int = 10  # of a second each
+    central: Share = 0.966  # cosine by which an impulse may turn to go through the centre of an object that is no disc
+    postponements: CountOrNone = 10  # of a second each
     steady_way: float = 0.03  # towards the object, that a robot goes at constant speed before it hits it [m],
     steady: float = 1.5  # for no longer than this,
     quick: float = 0.3  # and not if that is done as quickly [s]
@@ -130,13 +131,13 @@ class Retiming:
     """When the coming impact is moved to."""
 
     frozen: float = 4.0  # before an impact its time is kept [s]
-    candidates: int = 121  # times that are tried,
-    refined: int = 20  # then so many on either side of the best
+    candidates: Count = 121  # times that are tried,
+    refined: CountOrNone = 20  # then so many on either side of the best
     crowding: float = 0.1  # the object should be hit so deep inside what its knot demands [m]
     outside: float = 20.0  # weight of missing that, squared, over missing the planned place, squared
     pull: float = 1e-5  # weight of changing the time, squared [m^2/s^2]
     reserve: float = 4.0  # after the last impact [s], or
-    reserve_share: float = 0.1  # of the horizon
+    reserve_share: Share = 0.1  # of the horizon
 
 
 @dataclass(frozen=True)
@@ -147,15 +148,15 @@ class Insertion:
     safe_deviations: float = 0.5  # and so many standard deviations less,
     deviations: float = 1.0  # or, after the last impact, so many,
     shallow: float = 0.3  # for ending less deep than this share of the plan's margin
-    most: int = 4  # per object
+    most: CountOrNone = 4  # per object
     long_astray: float = 5.0  # without a robot that could mend it, until a new plan is wanted [s],
     soon: float = 2.0  # or this if what is left of the plan has no optimum [s]
-    leads: tuple[float, ...] = (6.0, 7.0, 9.0, 5.0, 4.0, 12.0, 15.0, 20.0)  # from now to an inserted impact [s]
-    hastes: tuple[float, ...] = (1.0, 0.7, 0.5)  # shares of the next flight's duration; a short one turns it less
+    leads: tuple[Positive, ...] = (6.0, 7.0, 9.0, 5.0, 4.0, 12.0, 15.0, 20.0)  # from now to an inserted impact [s]
+    hastes: tuple[Positive, ...] = (1.0, 0.7, 0.5)  # shares of the next flight's duration; a short one turns it less
     least_leg: float = 3.0  # after an inserted impact [s]
     rest: float = 5.0  # of its robot before the next one [s]
     least_change: float = 4e-3  # of the object's velocity that is worth an impact [m/s]
-    side: float = 0.6  # cosine between the way from robot to object and the change of velocity, at least
+    side: Cosine = 0.6  # cosine between the way from robot to object and the change of velocity, at least
     edge: float = 0.2  # an impact is inserted, too, if its robot would come so near to areas it may not leave [m]
     wall: float = 0.1  # kept by the robot from the edge of areas it may not leave [m]
 
@@ -164,12 +165,12 @@ class Insertion:
 class Reoptimisation:
     """Times and places of the impacts that are left, after each one."""
 
-    scale_rho: float = 0.1  # deviation from the plan's robustness that costs 1 [m]
-    scale_place: float = 0.3  # of a place [m]
-    scale_time: float = 10.0  # of a time [s]
+    scale_rho: Positive = 0.1  # deviation from the plan's robustness that costs 1 [m]
+    scale_place: Positive = 0.3  # of a place [m]
+    scale_time: Positive = 10.0  # of a time [s]
     notice: float = 4.0  # from now to the next impact [s]
     gap: float = 4.0  # between impacts of one object [s]
-    share: float = 0.6  # of an object's greatest speed that legs may need
+    share: Share = 0.6  # of an object's greatest speed that legs may need
     widest: float = math.tan(math.pi / 3)  # tangent of the half-angle of the cone round the normal that legs fill
     shortest_way: float = 0.05  # of a robot, for the linearisation of its time [m]
     shortest_leg: float = 0.05  # of an object, that has a direction [m]
@@ -181,8 +182,8 @@ class Avoidance:
     """Keeping off bodies that are not to be hit."""
 
     clearance: float = 0.1  # kept between the edges of two bodies [m]
-    braking: float = 0.7  # share of the thrust, for each of two robots
-    sweeps: int = 3  # over all neighbours
+    braking: Share = 0.7  # share of the thrust, for each of two robots
+    sweeps: CountOrNone = 3  # over all neighbours
 
 
 @dataclass(frozen=True)
@@ -190,11 +191,11 @@ class Background:
     """New plans, made in a process beside the loop."""
 
     delay: float = 2.0  # from asking for a plan to taking it over [s]
-    most: int = 2  # asked for in an episode
+    most: CountOrNone = 2  # asked for in an episode
     apart: float = 8.0  # from the answer to the next question [s]
     least_left: float = 15.0  # of the horizon [s]
     calm: float = 1.0  # before the next impact, when a plan is taken over [s]
-    time_limit: float = 6.0  # of the solver, should it take far too long; an episode that needs it may differ [s]
+    time_limit: Positive = 6.0  # of the solver, should it take far too long; an episode that needs it may differ [s]
 
 
 @dataclass(frozen=True)

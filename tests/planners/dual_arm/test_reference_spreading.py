@@ -246,7 +246,7 @@ def test_the_expert_knows_only_what_is_believed(tmp_path, monkeypatch):
 
 
 def test_bad_options_are_refused():
-    with pytest.raises(InputError, match=r"controller\.k_int = -1 is negative"):
+    with pytest.raises(InputError, match=r"controller\.k_int = -1; choices: from 0"):
         replace_options(EXPERT, {"controller.k_int": -1.0})
     with pytest.raises(InputError, match="did you mean 'no_interim_phase'"):
         DualArmExpert(SCENARIO, "no_interim")
