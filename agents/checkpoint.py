@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,6 +12,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
 from impact_envs.errors import InputError, choices
+from impact_envs.file import write_atomically
 
 
 class JsonRecord(BaseModel):
@@ -23,27 +22,6 @@ class JsonRecord(BaseModel):
 
 
 R = TypeVar("R", bound=JsonRecord)
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that a reader sees the old content or the new content, never a part.
-
-    Args:
-        path: file to write; its folder is made if missing.
-        data: the whole content.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            temporary.unlink()
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def write_record(path: Path, record: JsonRecord) -> None:

@@ -20,7 +20,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from agents import ResidualPolicy, sb3
 from agents.actor import Actor, PolicyRecord, load_policy, save_policy
-from agents.checkpoint import write_atomically
 from agents.sb3 import ALGORITHMS, LearningOptions, export_actor, start_at_expert
 from agents.training_state import load_training, save_training
 from impact_envs import InputError

@@ -15,8 +15,8 @@ import pandas as pd
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from agents.checkpoint import write_atomically
 from impact_envs.errors import InputError
+from impact_envs.file import write_atomically
 from impact_envs.scenario import Scenario
 from planners import has_planner, list_variants, make_plan
 from planners.plan import Plan

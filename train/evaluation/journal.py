@@ -9,8 +9,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from agents.checkpoint import write_atomically
 from impact_envs.errors import InputError
+from impact_envs.file import write_atomically
 
 PACKAGES = (
     "numpy",

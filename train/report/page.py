@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from impact_envs.file import write_atomically
 from impact_envs.scenario import Region
 from impact_envs.stl import Trace, parse, robustness
 from planners.plan import Plan
@@ -61,7 +62,7 @@ def write_report(directory: str | Path) -> Path:
         data=_inline(collect_data(evaluation, looks)),
     )
     path = Path(directory) / "report.html"
-    path.write_text(page, encoding="utf-8")
+    write_atomically(path, page.encode())
     return path
 
 
