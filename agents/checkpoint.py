@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeVar
@@ -9,10 +10,10 @@ from typing import TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save
+from safetensors.numpy import load, save
 
 from impact_envs.errors import InputError, choices
-from impact_envs.file import write_atomically
+from impact_envs.file import replace_file
 
 
 class JsonRecord(BaseModel):
@@ -21,19 +22,18 @@ class JsonRecord(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-R = TypeVar("R", bound=JsonRecord)
+class WeightsRecord(JsonRecord):
+    """The record of a safetensors file beside it.
 
-
-def write_record(path: Path, record: JsonRecord) -> None:
-    """Write a record as JSON, all or nothing.
-
-    Args:
-        path: file to write.
-
-    Raises:
-        InputError: the file cannot be written.
+    Attributes:
+        weights_digest: SHA-256 of the safetensors file; None: made by an earlier version, damage goes unnoticed as long
+            as the file can be read.
     """
-    write_atomically(path, (record.model_dump_json(indent=1) + "\n").encode())
+
+    weights_digest: str | None = None
+
+
+R = TypeVar("R", bound=JsonRecord)
 
 
 def read_record(path: Path, schema: type[R]) -> R:
@@ -59,34 +59,44 @@ def read_record(path: Path, schema: type[R]) -> R:
         raise InputError(f"{path}: {where}{first['msg'].removeprefix('Value error, ')}") from None
 
 
-def write_tensors(path: Path, tensors: Mapping[str, np.ndarray]) -> None:
-    """Write named arrays as safetensors, all or nothing.
+def write_checkpoint(tensors: tuple[Path, Mapping[str, np.ndarray]], record: tuple[Path, WeightsRecord]) -> None:
+    """Write named arrays as safetensors, and their record with the arrays' digest as JSON; both all or nothing.
 
     Args:
-        path: file to write.
-        tensors: arrays by name.
+        tensors: file, and arrays by name.
+        record: file, and its content.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: a file cannot be written.
     """
-    write_atomically(path, save({name: np.array(array, order="C") for name, array in tensors.items()}))
+    (weights, arrays), (description, content) = tensors, record
+    data = save({name: np.array(array, order="C") for name, array in arrays.items()})
+    content = content.model_copy(update={"weights_digest": _digest(data)})
+    # Both are written before either gets its name, so that they do not part when the disk is full.
+    with replace_file(weights) as new_weights, replace_file(description) as new_description:
+        new_weights.write_bytes(data)
+        new_description.write_text(content.model_dump_json(indent=1) + "\n", encoding="utf-8")
 
 
-def read_tensors(path: Path) -> dict[str, np.ndarray]:
+def read_tensors(path: Path, record: WeightsRecord) -> dict[str, np.ndarray]:
     """Read named arrays from a safetensors file.
 
     Args:
         path: file to read.
+        record: with the file's digest.
 
     Raises:
         InputError: the file is missing, damaged, or holds a value that is not finite.
     """
     try:
-        tensors = load_file(path)
+        data = path.read_bytes()
+        tensors = load(data)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except SafetensorError as error:
         raise InputError(f"{path}: not a safetensors file: {error}") from None
+    if record.weights_digest not in (None, _digest(data)):
+        raise InputError(f"{path}: is damaged, or of another checkpoint: weights_digest of its JSON file differs")
     for name, array in tensors.items():
         if not np.all(np.isfinite(array)):
             raise InputError(f"{path}: tensor '{name}' holds a value that is not finite")
@@ -112,3 +122,7 @@ def check_tensors(path: Path, tensors: Mapping[str, np.ndarray], expected: Mappi
         if given.shape != array.shape or given.dtype != array.dtype:
             found, wanted = (f"{x.dtype} {list(x.shape)}" for x in (given, array))
             raise InputError(f"{path}: tensor '{name}' is {found}, expected {wanted}")
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

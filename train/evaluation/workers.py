@@ -7,18 +7,17 @@ import os
 import signal
 import threading
 import traceback
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
+from train.evaluation.errors import WorkerLost
+
 ATTEMPTS = 2  # a job that ended this many workers is not given to another one
 
 Job = TypeVar("Job")
-
-
-class WorkerLost(RuntimeError):
-    """A job whose workers ended before it was done: killed, out of memory, or crashed."""
 
 
 def work(start: Callable[[], Callable[[Job], Any]], jobs: Sequence[Job], workers: int) -> Generator[Any]:
@@ -42,10 +41,10 @@ def work(start: Callable[[], Callable[[Job], Any]], jobs: Sequence[Job], workers
         while left:
             while len(crew) < min(workers, left):
                 ours, theirs = multiprocessing.Pipe()
-                process = multiprocessing.get_context("spawn").Process(target=_serve, args=(theirs, start), daemon=True)
-                process.start()
+                made = multiprocessing.get_context("spawn").Process(target=_serve, args=(theirs, start), daemon=True)
+                made.start()
                 theirs.close()
-                crew[ours] = (process, None)
+                crew[ours] = (made, None)
                 _give(crew, ours, queue)
             for ready in wait(list(crew)):
                 assert isinstance(ready, Connection)
@@ -55,8 +54,8 @@ def work(start: Callable[[], Callable[[Job], Any]], jobs: Sequence[Job], workers
                 except (EOFError, OSError):
                     del crew[ready]
                     process.join()
-                    _count_loss(lost, job, process)
-                    if job is not None:
+                    if job is not None:  # not one that has done its work
+                        _count_loss(lost, job, process)
                         queue.append(job)
                     continue
                 if error is not None:
@@ -78,6 +77,27 @@ def end_with_parent() -> None:
         threading.Thread(target=_end_after, args=(parent.sentinel,), daemon=True).start()
 
 
+@contextmanager
+def end_on_sigterm() -> Iterator[None]:
+    """Let SIGTERM end this process as an exception does, with code 143, unless somebody else handles it.
+
+    Only while episodes are played: a solver at work would keep the exception waiting, and has nothing to tidy up.
+    """
+    main = threading.current_thread() is threading.main_thread()
+    if not main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+
+    def end(number: int, frame: Any) -> None:
+        raise SystemExit(128 + number)
+
+    signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
 def _end_after(sentinel: int) -> None:
     wait([sentinel])
     os._exit(1)
@@ -88,13 +108,11 @@ def _give(crew: dict[Connection, tuple[BaseProcess, Job | None]], worker: Connec
     process, _ = crew[worker]
     job = queue.pop() if queue else None
     crew[worker] = (process, job)
-    try:
+    with suppress(OSError):  # it has ended, which is seen when its answer is read
         worker.send(job)
-    except OSError:  # it has ended, which is seen when its answer is read
-        pass
 
 
-def _count_loss(lost: dict[int, int], job: Job | None, process: BaseProcess) -> None:
+def _count_loss(lost: dict[int, int], job: Job, process: BaseProcess) -> None:
     lost[id(job)] = lost.get(id(job), 0) + 1
     if lost[id(job)] >= ATTEMPTS:
         raise WorkerLost(
@@ -111,7 +129,7 @@ def _serve(parent: Connection, start: Callable[[], Callable[[Job], Any]]) -> Non
     while (job := parent.recv()) is not None:
         try:
             do = do or start()
-            answer = (do(job), None)
+            answer: tuple[Any, Exception | None] = (do(job), None)
         except Exception as error:
             error.add_note(traceback.format_exc())
             answer = (None, error)

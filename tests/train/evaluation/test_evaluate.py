@@ -236,7 +236,7 @@ def test_damaged_folders_are_named(short: Scenario, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"rows\.jsonl: line 1 is not an episode"):
         evaluate([short], ("zero",), 2, out=tmp_path, progress=False)
     (tmp_path / "manifest.json").write_text("[]")
-    with pytest.raises(InputError, match=r"manifest\.json: not the manifest"):
+    with pytest.raises(InputError, match=r"manifest\.json: content: Input should be an object"):
         evaluate([short], ("zero",), 2, out=tmp_path, progress=False)
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
