@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -116,7 +117,7 @@ class Film:
 
     def __init__(self, path: str | Path, fps: float) -> None:
         self.path, self._fps = Path(path), fps
-        self._file = ExitStack()
+        self._file, self._encoded = ExitStack(), io.BytesIO()
         self.suffix = self.path.suffix.lower()
         self._writer: Any = None
         self._last: np.ndarray | None = None
@@ -163,6 +164,8 @@ class Film:
             with self._file:
                 writer, self._writer = self._writer, None
                 writer.close()
+                if self.suffix == ".gif":
+                    self._partial.write_bytes(self._encoded.getvalue())
                 # The encoder is a process of its own, which tells nobody that the disk was full.
                 if self.suffix == ".mp4" and self._partial.is_file() and not _is_whole(self._partial):
                     raise OSError("the encoder stopped early; is the disk full?")
@@ -186,7 +189,8 @@ class Film:
 
         self._partial = self._file.enter_context(replace_file(self.path))
         if self.suffix == ".gif":
-            return imageio.get_writer(self._partial, duration=1000.0 / self._fps, loop=0)
+            # In memory: after a full disk, imageio would go on trying, and print every failure.
+            return imageio.get_writer(self._encoded, format=".gif", duration=1000.0 / self._fps, loop=0)
         # H.264 wants even sides, which a macro block of 2 ensures.
         return imageio.get_writer(self._partial, fps=self._fps, codec="libx264", quality=8, macro_block_size=2)
 

@@ -96,11 +96,11 @@ def test_no_kill_loses_doubles_or_changes_a_row(script: Path, tmp_path: Path) ->
     for number, wanted, code in ((signal.SIGKILL, 5, -9), (signal.SIGTERM, 15, 143)):
         run = start(script, out)
         try:
-            assert wait_until(lambda: count_rows(out) >= wanted, 120)
+            assert wait_until(lambda wanted=wanted: count_rows(out) >= wanted, 120)
             children = list_children(run.pid)
             assert len(children) >= 3  # two workers and multiprocessing's tracker
             run.send_signal(number)
-            assert wait_until(lambda: not any(map(is_alive, children)), 5)
+            assert wait_until(lambda children=children: not any(map(is_alive, children)), 5)
             assert run.wait(5) == code
         finally:
             run.kill()
