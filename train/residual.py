@@ -70,6 +70,7 @@ def main(args: Args) -> dict[str, Any]:
         WorkerLost: the process of an environment ended.
     """
     check_args(args)
+    load_scenario(args.scenario).suite(args.suite)  # refused before anything is written
     with lock_folder(args.out):
         check_run(args)
         try:
