@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 
 class InputError(ValueError):
@@ -32,3 +36,10 @@ def choices(wrong: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(wrong, names, n=1)
     hint = f"did you mean '{near[0]}'? " if near else ""
     return f"{hint}choices: {', '.join(names) or 'none'}"
+
+
+def describe_fault(error: ValidationError) -> str:
+    """Return where the first fault of some data is, and what it is, such as ``cases.0.name: Field required``."""
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(part) for part in first["loc"]) or "content"
+    return f"{where}: {first['msg'].removeprefix('Value error, ')}"
