@@ -23,7 +23,7 @@ from impact_envs.stl import LARGEST, RESERVED, SIGNALS, Formula, parse
 
 SMALLEST = 1e-9  # of numbers that must be positive: quotients with LARGEST, and their products, stay finite
 MOST_PERIODS = 1_000_000  # control periods in a horizon: hours of computing
-LONGEST_PERIOD = 3600.0  # of control [s]; within one, engines may take many short steps
+LONGEST_PERIOD = 60.0  # of control [s]: within one, engines may take many short steps
 LONGEST_NAME = 64  # letters, so that files can be called after it
 
 
@@ -42,7 +42,7 @@ Vector = tuple[Finite, Finite]
 def _check_file_name(name: str) -> str:
     if not re.fullmatch(rf"[\w-][\w.-]{{0,{LONGEST_NAME - 1}}}", name):
         raise ValueError(
-            f"name {name!r} is not possible; use at most {LONGEST_NAME} letters, digits, '_', '-' and '.', the last not first"
+            f"{name!r} cannot name a file; use up to {LONGEST_NAME} letters, digits, '_', '-' and, not first, '.'"
         )
     return name
 
@@ -261,7 +261,9 @@ class Scenario(Table):
         values = dict(table[name])
         scale = values.pop("horizon_scale", 1.0)
         if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale <= 1:
-            raise ScenarioError(f"{self.name}: suite '{name}': horizon_scale = {scale!r:.60}: must be above 0, at most 1")
+            raise ScenarioError(
+                f"{self.name}: suite '{name}': horizon_scale = {scale!r:.60}: must be above 0, at most 1"
+            )
         changed = self.override(values)
         return changed if scale == 1.0 else changed.shorten(scale)
 
@@ -337,7 +339,7 @@ def load_scenario(source: str | Path | Scenario) -> Scenario:
     if not _is_file(path):
         if path.suffix == ".toml" or len(path.parts) > 1:
             raise ScenarioError(f"{path}: no such scenario file; {choices(path.stem, sorted(shipped))}")
-        raise ScenarioError(f"scenario '{source}' is unknown; {choices(str(source), sorted(shipped))}")
+        raise ScenarioError(f"scenario '{source!s:.60}' is unknown; {choices(str(source), sorted(shipped))}")
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -383,8 +385,15 @@ def build_scenario(data: dict[str, Any], source: str) -> Any:
 
 def _one_line(error: ValidationError, schema: type[Table], data: Any) -> str:
     """Say the first thing wrong in the file's own words: key, value, limit and choices."""
-    # A misspelt key is also a missing one; the misspelling is what the user wants to hear of.
-    first = min(error.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
+    # A misspelt key is also a missing one; the misspelling is what the user wants to hear of. And a table for a quantity
+    # is a distribution with a fault rather than no number.
+    first = min(
+        error.errors(),
+        key=lambda entry: (
+            entry["type"] != "extra_forbidden",
+            entry["type"] == "float_type" and isinstance(entry["input"], dict),
+        ),
+    )
     path = _find_path(first["loc"], data)
     if first["type"] == "missing":
         path.append(str(first["loc"][-1]))

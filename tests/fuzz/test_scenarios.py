@@ -14,7 +14,9 @@ from tests.fuzz.mutations import answered, check, check_finite, mistyped, mutate
 TEXTS = {path.stem: path.read_text() for path in find_scenarios()}
 TABLES = {name: tomllib.loads(text) for name, text in TEXTS.items()}
 POLYGON = {"vertices": [[-0.14, -0.14], [0.14, -0.14], [0.14, 0.14], [-0.14, 0.14]]}
-TABLES["polygon"] = TABLES["throw_and_catch"] | {"objects": {"pop": TABLES["throw_and_catch"]["objects"]["pop"] | POLYGON}}
+TABLES["polygon"] = TABLES["throw_and_catch"] | {
+    "objects": {"pop": TABLES["throw_and_catch"]["objects"]["pop"] | POLYGON}
+}
 SUITE = {"description": "harder", "horizon_scale": 0.6}
 TRUTH = {
     "free_flyer": {
@@ -61,6 +63,13 @@ def play(scenario):
             break
         observations, rewards, *_ = env.step({agent: env.action_space(agent).sample() for agent in env.agents})
         check_finite(*observations.values(), *rewards.values())
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled():
+    """Compile before time is taken; and what is to be changed is right at first."""
+    for table in TABLES.values():
+        play(build_scenario(fill(table), "mine.toml"))
 
 
 def check_tables(data):
