@@ -385,8 +385,8 @@ def build_scenario(data: dict[str, Any], source: str) -> Any:
 
 def _one_line(error: ValidationError, schema: type[Table], data: Any) -> str:
     """Say the first thing wrong in the file's own words: key, value, limit and choices."""
-    # A misspelt key is also a missing one; the misspelling is what the user wants to hear of. And a table for a quantity
-    # is a distribution with a fault rather than no number.
+    # A misspelt key is also a missing one; the misspelling is what the user wants to hear of.
+    # And a table for a quantity is a distribution with a fault rather than no number.
     first = min(
         error.errors(),
         key=lambda entry: (
