@@ -9,9 +9,19 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
+LONGEST_MESSAGE = 2000  # characters; what the user wrote may be of any length
+
 
 class InputError(ValueError):
-    """Bad input from the user (file, formula, argument, checkpoint); the command line exits with 2."""
+    """Bad input from the user (file, formula, argument, checkpoint); the command line exits with 2.
+
+    Args:
+        message: what is wrong; becomes one line, whatever names and values of the user stand in it.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in message[:LONGEST_MESSAGE])
+        super().__init__(line + "..." * (len(message) > LONGEST_MESSAGE))
 
 
 class ScenarioError(InputError):

@@ -13,9 +13,22 @@ from pydantic import Field, model_validator
 
 from impact_envs.dual_arm.arm import make_arm, solve_inverse_kinematics
 from impact_envs.errors import InputError
-from impact_envs.scenario import Box, Finite, NonNegative, Positive, Quantity, Scenario, Table, Uniform, Vector, draw
+from impact_envs.scenario import (
+    SMALLEST,
+    Box,
+    Finite,
+    NonNegative,
+    Positive,
+    Quantity,
+    Scenario,
+    Table,
+    Uniform,
+    Vector,
+    draw,
+)
 from impact_envs.stl import SIGNALS
 
+MOST_STEPS = 10_000  # of the integration in a control period
 Three = tuple[Positive, Positive, Positive]
 # Signals of an arm, beside its pad's motion, and of the box, which has the worst of both arms. In the last control
 # period: least and greatest normal force at the pads' corners [N], greatest joint torque, greatest change of a joint
@@ -113,8 +126,8 @@ class Truth(Table):
     @model_validator(mode="after")
     def _limits(self) -> Self:
         for name in ("mass_scale", "stiffness_scale", "joint_stiffness_scale"):
-            if find_smallest(getattr(self, name)) <= 0:
-                raise ValueError(f"{name} must be above 0")
+            if find_smallest(getattr(self, name)) < SMALLEST:
+                raise ValueError(f"{name} must be above 0, and not below {SMALLEST:g}")
         return self
 
 
@@ -279,6 +292,11 @@ class DualArmScenario(Scenario):
         ):
             if not math.isclose(round(long / short) * short, long, rel_tol=1e-9):
                 raise ValueError(f"{name} = {short:g} does not divide {long:g} into whole parts")
+        if self.control_period > MOST_STEPS * self.physics_step * (1 + 1e-9):
+            raise ValueError(
+                f"physics_step = {self.physics_step:g}: a control period {self.control_period:g} has more than "
+                f"{MOST_STEPS} of them"
+            )
         true = self.pads.friction if self.true.friction is None else find_smallest(self.true.friction)
         if not self.believed.friction <= true:
             raise ValueError(

@@ -16,8 +16,10 @@ from impact_envs.errors import InputError, choices
 from impact_envs.floating_manipulator.contact import compute_contact
 from impact_envs.physics.multibody import Chain, compute_directions, compute_point, make_chain
 from impact_envs.scenario import (
+    SMALLEST,
     Box,
     Finite,
+    Name,
     NonNegative,
     Positive,
     Quantity,
@@ -131,8 +133,8 @@ class Truth(Table):
     def _limits(self) -> Self:
         for name in type(self).model_fields:
             low = _range(getattr(self, name))[0]
-            if name.endswith("_scale") and low <= 0:
-                raise ValueError(f"{name} must be above 0")
+            if name.endswith("_scale") and low < SMALLEST:
+                raise ValueError(f"{name} must be above 0, and not below {SMALLEST:g}")
             if name in ("restitution", "restitution_speed", "thruster_gain") and low < 0:
                 raise ValueError(f"{name} must not be negative")
         if isinstance(self.restitution, Uniform) and self.restitution.uniform[1] > 1:
@@ -186,7 +188,7 @@ class FloatingManipulatorScenario(Scenario):
     thrusters: Thrusters | None = None
     wheel: Motor | None = None  # acts on the base as an external torque, as in the paper
     safety_pause: NonNegative = 0.0  # after an impact, without control of the tip [s]
-    requirements: dict[str, str] = {}  # additional formulas, by name, that are evaluated for every episode
+    requirements: dict[Name, str] = {}  # additional formulas, by name, that are evaluated for every episode
     believed: Believed
     true: Truth = Truth()
 
@@ -258,8 +260,8 @@ class FloatingManipulatorScenario(Scenario):
             scale: factor in (0, 1] for tighter tasks.
         """
         bare = Scenario.shorten(self.override({"requirements": {}}), scale)
-        factor = bare.horizon / self.horizon
-        return bare.override({"requirements": {name: str(f.scale_time(factor)) for name, f in self.required.items()}})
+        required = {name: self._shorten_formula(formula, bare.horizon) for name, formula in self.required.items()}
+        return bare.override({"requirements": required})
 
     def as_believed(self) -> Self:
         """Return the scenario as the expert sees it: the true physics are the believed ones."""
