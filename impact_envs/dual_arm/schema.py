@@ -111,7 +111,7 @@ class Truth(Table):
     start_heading: Quantity = 0.0  # [rad]
 
     @model_validator(mode="after")
-    def _limits(self) -> Self:
+    def _check_scales(self) -> Self:
         for name in ("mass_scale", "stiffness_scale", "joint_stiffness_scale"):
             if find_smallest(getattr(self, name)) <= 0:
                 raise ValueError(f"{name} must be above 0")
@@ -270,7 +270,7 @@ class DualArmScenario(Scenario):
         )
 
     @model_validator(mode="after")
-    def _possible(self) -> Self:
+    def _check_scenario(self) -> Self:
         if len(self.arms) != 2:
             raise ValueError(f"arms: {len(self.arms)} given, 2 are needed")
         for name, short, long in (

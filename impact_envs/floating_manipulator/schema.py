@@ -78,7 +78,7 @@ class Arm(Table):
     elbow: Literal["positive", "negative"] = "positive"  # sign of the second joint angle there
 
     @model_validator(mode="after")
-    def _one_form(self) -> Self:
+    def _check_one_form(self) -> Self:
         if (self.joints is None) == (self.tip is None):
             raise ValueError("give either joints or tip")
         return self
@@ -128,9 +128,9 @@ class Truth(Table):
     delay_steps: Annotated[int, Field(ge=0, le=50)] = 0  # control periods between event and observation
 
     @model_validator(mode="after")
-    def _limits(self) -> Self:
+    def _check_quantities(self) -> Self:
         for name in type(self).model_fields:
-            low = _range(getattr(self, name))[0]
+            low = _find_range(getattr(self, name))[0]
             if name.endswith("_scale") and low <= 0:
                 raise ValueError(f"{name} must be above 0")
             if name in ("restitution", "restitution_speed", "thruster_gain") and low < 0:
@@ -140,7 +140,7 @@ class Truth(Table):
         return self
 
 
-def _range(quantity: Quantity | None) -> tuple[float, float]:
+def _find_range(quantity: Quantity | None) -> tuple[float, float]:
     if isinstance(quantity, Uniform):
         return quantity.uniform
     return (0.0, 0.0) if quantity is None else (quantity, quantity)
@@ -315,7 +315,7 @@ class FloatingManipulatorScenario(Scenario):
         return first - self.base.heading, elbow, math.remainder(last - first - elbow, math.tau)
 
     @model_validator(mode="after")
-    def _placed(self) -> Self:
+    def _check_scenario(self) -> Self:
         if not self.links:
             raise ValueError("links: at least one is needed")
         for name in self.links:
@@ -365,7 +365,7 @@ class FloatingManipulatorScenario(Scenario):
     def _box_room(self) -> float:
         """Return the greatest distance between a point of the true box and of the box in the file [m]."""
         ranges: Mapping[str, tuple[float, float]] = {
-            name: _range(getattr(self.true, name)) for name in ("box_offset_x", "box_offset_y", "box_turn")
+            name: _find_range(getattr(self.true, name)) for name in ("box_offset_x", "box_offset_y", "box_turn")
         }
         x, y, turn = (max(map(abs, pair)) for pair in ranges.values())
         return math.hypot(x, y) + turn * math.hypot(*self.box.size) / 2
