@@ -14,14 +14,12 @@ import numpy as np
 from numba import njit
 
 from impact_envs.dual_arm.arm import L1, L2, L3, X, Y, solve_arm
-from impact_envs.dual_arm.schema import DualArmScenario, Physics
+from impact_envs.dual_arm.schema import DEEPEST, DualArmScenario, Physics
 from impact_envs.physics.contact import compute_friction, compute_normal_force
 
 STATE, ARM, BOX = 30, 12, 24  # size of the state, of an arm's part, and where the box begins
 CONTACTS = 6
 GAP, GAP_RATE, SLIP_RATE, NORMAL, TANGENTIAL = range(5)  # columns of a contact
-# A pad corner deeper inside the box than this came in through another face [m].
-DEEPEST = 0.05
 
 
 class TrueSurface(NamedTuple):

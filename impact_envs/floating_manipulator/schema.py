@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 
 from impact_envs.errors import InputError, choices
 from impact_envs.floating_manipulator.contact import compute_contact
+from impact_envs.floating_manipulator.stability import find_longest_period
 from impact_envs.physics.multibody import Chain, compute_directions, compute_point, make_chain
 from impact_envs.scenario import (
     Box,
@@ -78,7 +79,7 @@ class Arm(Table):
     elbow: Literal["positive", "negative"] = "positive"  # sign of the second joint angle there
 
     @model_validator(mode="after")
-    def _check_one_form(self) -> Self:
+    def _one_form(self) -> Self:
         if (self.joints is None) == (self.tip is None):
             raise ValueError("give either joints or tip")
         return self
@@ -128,9 +129,9 @@ class Truth(Table):
     delay_steps: Annotated[int, Field(ge=0, le=50)] = 0  # control periods between event and observation
 
     @model_validator(mode="after")
-    def _check_quantities(self) -> Self:
+    def _limits(self) -> Self:
         for name in type(self).model_fields:
-            low = _find_range(getattr(self, name))[0]
+            low = _range(getattr(self, name))[0]
             if name.endswith("_scale") and low <= 0:
                 raise ValueError(f"{name} must be above 0")
             if name in ("restitution", "restitution_speed", "thruster_gain") and low < 0:
@@ -140,7 +141,7 @@ class Truth(Table):
         return self
 
 
-def _find_range(quantity: Quantity | None) -> tuple[float, float]:
+def _range(quantity: Quantity | None) -> tuple[float, float]:
     if isinstance(quantity, Uniform):
         return quantity.uniform
     return (0.0, 0.0) if quantity is None else (quantity, quantity)
@@ -315,7 +316,7 @@ class FloatingManipulatorScenario(Scenario):
         return first - self.base.heading, elbow, math.remainder(last - first - elbow, math.tau)
 
     @model_validator(mode="after")
-    def _check_scenario(self) -> Self:
+    def _placed(self) -> Self:
         if not self.links:
             raise ValueError("links: at least one is needed")
         for name in self.links:
@@ -323,6 +324,7 @@ class FloatingManipulatorScenario(Scenario):
                 raise ValueError(f"links: '{name}' names another part; those are {', '.join(PARTS)}")
         if self.arm.joints is not None and len(self.arm.joints) != len(self.links):
             raise ValueError(f"arm.joints has {len(self.arm.joints)} angles for {len(self.links)} links")
+        self._check_motors()
         self._check_formulas()
         gap, room = self._start_gap(), self._box_room()
         if gap <= 0:
@@ -330,6 +332,25 @@ class FloatingManipulatorScenario(Scenario):
         if gap <= room:
             raise ValueError(f"true: offsets of the box reach {room:.3g} m, the tip starts {gap:.3g} m from it")
         return self
+
+    def _check_motors(self) -> None:
+        """Raise unless motors that hold their torque over a control period brake in every draw."""
+        true, motors = self.true, [self.wheel, *self.links.values()]
+        stall, speed = _range(true.stall_torque_scale)[1], _range(true.no_load_speed_scale)[0]
+        damping = [motor.stall_torque / motor.no_load_speed if motor else 0.0 for motor in motors]
+        damping[1:] = [stall / speed * drop for drop in damping[1:]]
+        try:
+            chain = self.chain(_range(true.base_mass_scale)[0], _range(true.load_mass_scale)[0])
+            motor, longest = find_longest_period(chain, np.array(damping))
+        except np.linalg.LinAlgError:
+            raise ValueError("links: masses, inertias and lengths are too far apart to be simulated") from None
+        if self.control_period > longest:
+            name, worst = ["wheel", *(f"links.{name}" for name in self.links)][motor], motors[motor]
+            assert worst is not None
+            raise ValueError(
+                f"control_period = {self.control_period:g}: {name}.stall_torque = {worst.stall_torque:g} with "
+                f"{name}.no_load_speed = {worst.no_load_speed:g} is stable up to {longest:.2g}"
+            )
 
     def _check_formulas(self) -> None:
         """Raise unless the formulas use known signals and times up to the horizon."""
@@ -365,7 +386,7 @@ class FloatingManipulatorScenario(Scenario):
     def _box_room(self) -> float:
         """Return the greatest distance between a point of the true box and of the box in the file [m]."""
         ranges: Mapping[str, tuple[float, float]] = {
-            name: _find_range(getattr(self.true, name)) for name in ("box_offset_x", "box_offset_y", "box_turn")
+            name: _range(getattr(self.true, name)) for name in ("box_offset_x", "box_offset_y", "box_turn")
         }
         x, y, turn = (max(map(abs, pair)) for pair in ranges.values())
         return math.hypot(x, y) + turn * math.hypot(*self.box.size) / 2
