@@ -12,7 +12,8 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from impact_envs.domain import find_part
-from impact_envs.failure import SimulationFailed, TooManyEvents, check_finite
+from impact_envs.errors import InputError
+from impact_envs.failure import NotFinite, SimulationFailed, TooManyEvents, check_finite
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.reward import compute_reward, compute_team_reward
@@ -268,10 +269,24 @@ class ImpactEnv(ParallelEnv):
             impacts = self.model.step(controls)
             states = self.model.state()
             check_finite(states, self.scenario.bodies)
-        except SimulationFailed as failure:
-            self.failure = failure
+        except InputError:
+            raise
+        except (SimulationFailed, ArithmeticError, ValueError) as error:
+            self.failure = self._explain(error)
         else:
             self.impacts, self._states = impacts, states
+
+    def _explain(self, error: Exception) -> SimulationFailed:
+        """Return why the model failed: arithmetic may stop at a state that is not finite before anybody looks at it."""
+        try:
+            check_finite(self.model.state(), self.scenario.bodies)
+        except NotFinite as failure:
+            return failure
+        except (ArithmeticError, ValueError):
+            return NotFinite("a body")
+        if isinstance(error, SimulationFailed):
+            return error
+        raise error
 
     def _remember(self) -> None:
         if self.render_mode is not None:

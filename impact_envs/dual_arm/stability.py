@@ -38,7 +38,7 @@ def find_longest_steps(eigenvalues: np.ndarray) -> np.ndarray:
         return np.where(sizes > 0.0, low / sizes, np.inf)
 
 
-def compute_inverse_masses(arm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compute_inverse_masses(arm: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the inverse mass matrices of the joints, and the greatest inverse mass of the pad, over the arm's angles.
 
     Args:

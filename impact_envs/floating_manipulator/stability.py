@@ -6,6 +6,8 @@ explicit Euler step of a damper.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from impact_envs.physics.multibody import Chain, compute_directions, compute_mass_matrix
@@ -31,10 +33,11 @@ def find_longest_period(chain: Chain, damping: np.ndarray) -> tuple[int, float]:
     roots, greatest, motor = np.sqrt(damping), 0.0, 0
     w, rates, rest, M = np.zeros((n + 1, 2)), np.zeros(n + 1), np.zeros(n + 3), np.zeros((n + 3, n + 3))
     # The Python source: loading compiled code takes longer than reading all scenarios.
-    find_directions, fill = (getattr(f, "py_func", f) for f in (compute_directions, compute_mass_matrix))
+    find_directions: Any = getattr(compute_directions, "py_func", compute_directions)
+    fill_masses: Any = getattr(compute_mass_matrix, "py_func", compute_mass_matrix)
     for q in joints:
         find_directions(chain, np.concatenate([np.zeros(3), q]), rest, w, rates)
-        fill(chain, w, M)
+        fill_masses(chain, w, M)
         values, vectors = np.linalg.eigh(roots[:, None] * np.linalg.inv(M)[2:, 2:] * roots)
         if values[-1] > greatest:
             greatest, motor = values[-1], int(np.argmax(np.abs(vectors[:, -1])))

@@ -118,7 +118,7 @@ def step_task(
             scratch.motion[c, i, HELD + channel] = u * arena.discs[i, LIMIT + channel]
     step_world(arena, worlds, scratch, log, c, k)
     if not is_finite(worlds, k):
-        worlds.counter[k, LOST] = 1
+        worlds.counter[k, LOST], worlds.counter[k, OVERFLOW] = 1, 0
     if worlds.counter[k, OVERFLOW] + worlds.counter[k, LOST] > 0:
         fail_task(arena, worlds, sensing, rules, memory, output, k, actions)
         return

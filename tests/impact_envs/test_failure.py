@@ -8,13 +8,6 @@ from impact_envs.failure import NotFinite, check_finite
 from impact_envs.rollout import ZeroPolicy
 
 DISCS = load_scenario("throw_and_catch").override({"horizon": 5.0, "formula": "F[0,5] pop in goal"})
-WALLS = DISCS.override(
-    {
-        "robots.snap.start": [0.21, 3.0],
-        "robots.snap.radius": 0.2,
-        "obstacles": {"slab": {"lower": [0.42, 1.0], "upper": [1.0, 5.0], "solid": True}},
-    }
-)
 
 
 def lose(env, body):
@@ -28,7 +21,7 @@ def test_the_first_body_that_is_not_finite_is_named():
     states = np.zeros((3, 6))
     check_finite(states, ("a", "b", "c"))
     states[1:, 2] = np.nan
-    with pytest.raises(NotFinite, match="^state of b is not finite$"):
+    with pytest.raises(NotFinite, match="state of b is not finite"):
         check_finite(states, ("a", "b", "c"))
 
 
