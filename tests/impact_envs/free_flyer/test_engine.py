@@ -211,7 +211,7 @@ def test_both_engines_refuse_impacts_that_do_not_end(model_type):
             obstacles={"slab": {"lower": [0.4200001, 1.0], "upper": [3.0, 5.0], "solid": True}},
         )
     )
-    launch(model, [(1000.0, 0.0)])
+    launch(model, [(1e5, 0.0)])
     with pytest.raises(TooManyEvents, match="more than 20000 events"):
         model.step({"a": np.zeros(3)})
 
@@ -260,3 +260,19 @@ def test_engine_is_chosen_by_scenario():
         polygon.override({"engine": "exact"})
     with pytest.raises(ScenarioError, match="engine"):
         scenario.override({"engine": "mujoco"})
+
+
+def test_a_mass_of_a_million_pinches_one_kilogram_as_often_as_pi_says():
+    """The impacts count the digits of pi (Galperin, 2003), and none of the time that they take is lost."""
+    bodies = {"a": {"start": (1.0, 3.0), "mass": 1.0}, "b": {"start": (2.0, 3.0), "mass": 1e6}}
+    scenario = make_scenario(bodies, restitution=1.0)
+    ends = []
+    for model in (DiscModel(scenario), FreeFlyerModel(scenario)):
+        launch(model, [(0.0, 0.0), (-0.2, 0.0)], restitution=1.0)
+        impacts = sum(len(model.step({name: np.zeros(3) for name in scenario.robots})) for _ in range(200))
+        assert impacts == 3141
+        ends.append(model.state())
+    assert ends[0][:, :4] == pytest.approx(ends[1][:, :4], abs=1e-6)
+    # The heavy one turns where the light one is pinched, at three radii from the wall, and goes back as it came.
+    assert ends[0][1, 2] == pytest.approx(0.2, abs=1e-6)
+    assert ends[0][1, 0] == pytest.approx(0.6 + 0.2 * (20.0 - 7.0), abs=1e-3)
