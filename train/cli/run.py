@@ -133,6 +133,7 @@ def _summarize(episode: Any, suite: str) -> dict[str, Any]:
         "seed": episode.seed,
         "robustness": episode.robustness,
         "success": episode.success,
+        "failure": episode.failure,
         "impacts": [
             {
                 "time": hit.time,

@@ -136,6 +136,15 @@ METRICS = (
         "fallback_kinds", "", lambda episode, scenario: json.dumps(dict(sorted(episode.fallbacks.items()))),
         (Aggregate("fallbacks", _add_counts, dict[str, int]),), required=True, kind=Json[dict[str, int]],
     ),
+    Metric(
+        "failure", "", lambda episode, scenario: episode.failure,
+        (
+            Aggregate(
+                "failures", lambda values: int((values != "").sum()), int, "Simulations failed",
+                lambda row: str(row["failures"]), detail=True,
+            ),
+        ),
+    ),
     *(
         Metric(f"solve_ms_{name}", "ms", partial(_compute_solve_quantile, name=name))
         for name in ("p50", "p99", "max")

@@ -68,6 +68,7 @@ def episode_to_dict(
         "robustness_bounds": [[_finite(x) for x in pair] for pair in _rounded(episode.robustness_bounds)],
         "robustness": float(episode.robustness),
         "success": bool(episode.success),
+        "failure": episode.failure,
         "effort": float(episode.effort),
         "fallbacks": dict(episode.fallbacks),
         "solve_ms": compute_solve_times(1e3 * episode.solve_seconds),
