@@ -33,9 +33,9 @@ class ContactSolver:
         self.movable: list[tuple[Body, pymunk.Body]] = []
         for index, body in enumerate(bodies):
             self._add(body, index)
-        self.space.on_collision(pre_solve=self._choose)
+        self.space.on_collision(pre_solve=self._accept_pair)
 
-    def hold(self, pairs: set[tuple[int, int]], h: float) -> None:
+    def add_contact_forces(self, pairs: set[tuple[int, int]], h: float) -> None:
         """Add to the accelerations of all bodies what keeps some pairs from closing in over a time h.
 
         Args:
@@ -70,7 +70,7 @@ class ContactSolver:
             self.movable.append((body, twin))
         self.space.add(shape)
 
-    def _choose(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
+    def _accept_pair(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
         a, b = (shape.collision_type for shape in arbiter.shapes)
         arbiter.process_collision = (min(a, b), max(a, b)) in self.pairs
         arbiter.restitution = 0.0

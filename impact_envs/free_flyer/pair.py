@@ -84,7 +84,7 @@ def find_time_of_impact(a: Body, b: Body, resting: bool, end: float) -> float:
     return find_disc_impact(*relative, a.radius + b.radius, slack, end)
 
 
-def part(a: Body, b: Body, contact: Contact) -> None:
+def remove_overlap(a: Body, b: Body, contact: Contact) -> None:
     """Take back an overlap, sharing the way so that the centre of mass of both stays."""
     share = 1.0 if b.fixed else b.mass / (a.mass + b.mass)
     for body, way in ((a, contact.gap * share), (b, -contact.gap * (1 - share))):

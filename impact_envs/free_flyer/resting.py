@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled, inlined
-from impact_envs.free_flyer.impulse import find_speed, read_contact, relax, write_contact
+from impact_envs.free_flyer.impulse import find_speed, read_contact, solve_impulses, write_contact
 from impact_envs.free_flyer.pair import CONTACT_STEP, PART_SPEED, REST_GAP, REST_PRESS, REST_SPEED
 from impact_envs.free_flyer.schema import FRICTION, OFFSET_X
 from impact_envs.free_flyer.touch import find_approach, find_gap, find_press, is_offset
@@ -63,7 +63,7 @@ def find_resting(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int,
 
 
 @compiled
-def hold(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: int, h: float) -> None:
+def add_contact_forces(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: int, h: float) -> None:
     """Add to the accelerations what keeps the pairs pressed on each other from closing in over a time h.
 
     Normals are taken where velocities alone lead, as pymunk does: with those of the start, bodies that slide round
@@ -86,7 +86,7 @@ def hold(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: 
             contacts[c, rows, SLIP] += h * find_speed(worlds, scratch, c, k, n, ACCELERATION, i, j, -ny, nx, px, py)
             contacts[c, rows, PARTING_GOAL] = contacts[c, rows, SLIP_GOAL] = 0.0
             rows += 1
-    relax(worlds, scratch, c, k, n, CHANGE, rows, 0.0, worlds.contact[k, FRICTION])
+    solve_impulses(worlds, scratch, c, k, n, CHANGE, rows, 0.0, worlds.contact[k, FRICTION])
     for i in range(n):
         for axis in range(3):
             state[k, i, axis if axis < 2 else 4] = motion[c, i, COMPRESSION + axis]
