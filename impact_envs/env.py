@@ -13,7 +13,7 @@ from pettingzoo import ParallelEnv
 
 from impact_envs.domain import find_part
 from impact_envs.observation import Layout
-from impact_envs.physics.impact import Impact
+from impact_envs.physics.impact import Impact, LastingContact
 from impact_envs.reward import compute_reward, compute_team_reward
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.shape import Shape
@@ -122,6 +122,7 @@ class ImpactEnv(ParallelEnv):
         )
         self.curves: dict[str, np.ndarray] = {}  # polylines to draw under the bodies, for example a plan
         self.impacts: list[Impact] = []  # of the last control period
+        self.contacts: list[LastingContact] = []  # the same of contacts that last; models without any have no list
         self.impulse = 0.0  # propulsion spent since reset
         self._rng: np.random.Generator | None = None
         self._renderer: Any = None
@@ -158,7 +159,7 @@ class ImpactEnv(ParallelEnv):
             self._rng, _ = seeding.np_random(seed)
         physics = self.scenario.draw(self._rng)
         self.model.reset(physics)
-        self.steps, self.impacts, self.impulse = 0, [], 0.0
+        self.steps, self.impacts, self.contacts, self.impulse = 0, [], [], 0.0
         self.agents = list(self.possible_agents)
         self.task.reset(physics, self.model.state(), self._rng)
         self.signals = self.task.signals(self.model.state())
@@ -189,6 +190,7 @@ class ImpactEnv(ParallelEnv):
             return {}, {}, {}, {}, {}
         controls = self.task.controls(actions)
         self.impacts = self.model.step(controls)
+        self.contacts = getattr(self.model, "contacts", [])
         self.steps += 1
         self.impulse += self.task.impulse(controls)
         states = self.model.state()

@@ -13,7 +13,7 @@ import numpy as np
 from impact_envs.stl import Trace, robustness, satisfied
 
 if TYPE_CHECKING:  # reading a scenario does not wait for the compiler
-    from impact_envs.physics.impact import Impact
+    from impact_envs.physics.impact import Impact, LastingContact
 
 
 @dataclass
@@ -111,6 +111,8 @@ class Episode:
         replans: how often the policy changed its plan.
         wall_seconds: duration of the rollout [s].
         reoptimised: how often the policy optimised what is left of the task anew, method to count.
+        contacts: what bodies that rest on each other exchanged, one record for each pair and control period; with the
+            impacts it balances momentum.
     """
 
     scenario: str
@@ -131,6 +133,7 @@ class Episode:
     replans: int
     wall_seconds: float
     reoptimised: Mapping[str, int] = field(default_factory=dict)
+    contacts: tuple[LastingContact, ...] = ()
 
 
 def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode:
@@ -151,6 +154,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
     policy.reset(seed)
     signals, bounds, actions, rewards = [env.signals], [env.bounds], [], []
     impacts: list[Impact] = []
+    contacts: list[LastingContact] = []
     if on_step:
         on_step(env)
     while env.agents:
@@ -161,6 +165,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         actions.append(chosen)
         rewards.append(reward)
         impacts += env.impacts
+        contacts += env.contacts
         if on_step:
             on_step(env)
     scenario, diagnostics = env.scenario, policy.diagnostics()
@@ -185,6 +190,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         replans=diagnostics.replans,
         wall_seconds=time.perf_counter() - start,
         reoptimised=dict(diagnostics.reoptimised),
+        contacts=tuple(contacts),
     )
 
 

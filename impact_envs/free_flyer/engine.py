@@ -11,6 +11,7 @@ import numpy as np
 
 from impact_envs.compiled import compiled, inlined
 from impact_envs.free_flyer.hits import resolve_impacts
+from impact_envs.free_flyer.impulse import add_held_impulses
 from impact_envs.free_flyer.pair import CONTACT_STEP, REST_GAP, SIMULTANEOUS
 from impact_envs.free_flyer.resting import add_contact_forces, clear_rest, find_resting
 from impact_envs.free_flyer.schema import DRIFT_X, DRIFT_Y, INERTIA, MASS, OFFSET_X, OFFSET_Y
@@ -60,6 +61,8 @@ def step_world(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, 
     """
     n = arena.discs.shape[0]
     worlds.counter[k, HITS] = 0
+    for pair in range(worlds.held.shape[1]):
+        worlds.held[k, pair, 0] = worlds.held[k, pair, 1] = 0.0
     for i in range(n):
         was_hit = worlds.state[k, i, FELT] > 0.0
         worlds.state[k, i, FELT] = 0.0
@@ -81,6 +84,7 @@ def step_world(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, 
 @compiled
 def step_alone(
     period: float,
+    rest_speed: float,
     on_off: bool,
     robots: int,
     discs: np.ndarray,
@@ -91,6 +95,7 @@ def step_alone(
     body: np.ndarray,
     thruster: np.ndarray,
     contact: np.ndarray,
+    held: np.ndarray,
     counter: np.ndarray,
     motion: np.ndarray,
     marks: np.ndarray,
@@ -100,8 +105,8 @@ def step_alone(
     states: np.ndarray,
 ) -> None:
     """Advance world 0 and read its states: ``step_world`` for Python, which hands over arrays faster than tuples."""
-    worlds = Worlds(state, body, thruster, contact, counter)
-    arena = Arena(period, on_off, robots, discs, pairs, first_face, faces)
+    worlds = Worlds(state, body, thruster, contact, held, counter)
+    arena = Arena(period, rest_speed, on_off, robots, discs, pairs, first_face, faces)
     for i in range(robots):
         for channel in range(3):
             motion[0, i, HELD + channel] = controls[i, channel]
@@ -182,7 +187,7 @@ def advance_period(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarr
     n = arena.discs.shape[0]
     period, t = arena.period, 0.0
     for _ in range(EVENTS):
-        left = period - t
+        left, rows = period - t, 0
         for i in range(n):
             for axis in range(3):
                 scratch.motion[c, i, ACCELERATION + axis] = scratch.motion[c, i, HELD + axis]
@@ -191,11 +196,13 @@ def advance_period(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarr
         if pressed > 0:
             # On walls, without friction, forces stay what they are; elsewhere they turn with the normal.
             left = CONTACT_STEP if pressed > 1 and left > CONTACT_STEP + SIMULTANEOUS else left
-            add_contact_forces(arena, worlds, scratch, c, k, found, left)
+            rows = add_contact_forces(arena, worlds, scratch, c, k, found, left)
             count = find_near(arena, worlds, scratch, c, k, left)
         first = find_first(arena, worlds, scratch, c, k, count, left)
         h = min(first, left)
         fly_bodies(worlds, scratch, c, k, n, h)
+        if rows > 0:
+            add_held_impulses(worlds, scratch, c, k, rows, h / left)
         t = period if h == period - t else t + h
         if first <= left:
             resolve_impacts(arena, worlds, scratch, log, c, k, count, min(left, first + SIMULTANEOUS), t)

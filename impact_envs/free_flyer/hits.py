@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from impact_envs.compiled import compiled
-from impact_envs.free_flyer.impulse import read_contact, solve_impacts, write_contact
-from impact_envs.free_flyer.pair import CONTACT_STEP, GRAZE, LOW_SPEED, REST_GAP
+from impact_envs.free_flyer.impulse import add_held_impulses, read_contact, solve_impacts, write_contact
+from impact_envs.free_flyer.pair import CONTACT_STEP, GRAZE, REST_GAP, find_low_speed
 from impact_envs.free_flyer.schema import MASS, RESTITUTION, RESTITUTION_SPEED
 from impact_envs.free_flyer.touch import find_press
 from impact_envs.free_flyer.worlds import (
@@ -73,7 +73,7 @@ def does_rebound(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int,
     contacts = scratch.contacts
     i, j, approach = int(contacts[c, row, I]), int(contacts[c, row, J]), -contacts[c, row, PARTING]
     press = find_press(arena, worlds, scratch, c, k, i, j, contacts[c, row, GAP], approach)
-    return is_rebound(approach, press, LOW_SPEED, CONTACT_STEP)
+    return is_rebound(approach, press, find_low_speed(press, arena.rest_speed), CONTACT_STEP)
 
 
 @compiled
@@ -89,6 +89,7 @@ def start_lasting_contacts(arena: Arena, worlds: Worlds, scratch: Scratch, c: in
             rows += 1
     solve_impacts(worlds, scratch, c, k, n, rows)
     change_velocities(worlds, scratch, c, k, n)
+    add_held_impulses(worlds, scratch, c, k, rows, 1.0)
     for row in range(rows):
         i, j, nx, ny, _, _ = read_contact(scratch, c, row)
         gap = contacts[c, row, GAP]

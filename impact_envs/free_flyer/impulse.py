@@ -19,6 +19,7 @@ from impact_envs.free_flyer.worlds import (
     GAP,
     NX,
     NY,
+    PAIR,
     PARTING,
     PARTING_GOAL,
     PX,
@@ -40,7 +41,7 @@ def write_contact(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int
     contacts = scratch.contacts
     i, j = arena.pairs[pair, 0], arena.pairs[pair, 1]
     gap, nx, ny, px, py = find_gap(arena, worlds, scratch, c, k, i, j, 0.0)
-    contacts[c, row, I], contacts[c, row, J], contacts[c, row, GAP] = i, j, gap
+    contacts[c, row, I], contacts[c, row, J], contacts[c, row, GAP], contacts[c, row, PAIR] = i, j, gap, pair
     contacts[c, row, NX], contacts[c, row, NY], contacts[c, row, PX], contacts[c, row, PY] = nx, ny, px, py
     contacts[c, row, PARTING] = -find_approach(arena, worlds, k, i, j, nx, ny, px, py)
     contacts[c, row, SLIP] = -find_approach(arena, worlds, k, i, j, -ny, nx, px, py)
@@ -185,3 +186,16 @@ def solve_impacts(worlds: Worlds, scratch: Scratch, c: int, k: int, n: int, coun
         slip -= find_speed(worlds, scratch, c, k, n, COMPRESSION, i, j, -ny, nx, px, py)
         scratch.contacts[c, row, SLIP_GOAL] = slip
     solve_impulses(worlds, scratch, c, k, n, CHANGE, count, 1.0, friction)
+
+
+@compiled
+def add_held_impulses(worlds: Worlds, scratch: Scratch, c: int, k: int, count: int, share: float) -> None:
+    """Add a share of the impulses of lasting contacts to what world k's pairs exchange in this control period."""
+    if worlds.held.shape[1] == 0:
+        return
+    for row in range(count):
+        _, _, nx, ny, _, _ = read_contact(scratch, c, row)
+        along, across = scratch.contacts[c, row, ALONG], scratch.contacts[c, row, ACROSS]
+        pair = int(scratch.contacts[c, row, PAIR])
+        worlds.held[k, pair, 0] += share * (along * nx - across * ny)
+        worlds.held[k, pair, 1] += share * (along * ny + across * nx)

@@ -19,15 +19,16 @@ from impact_envs.free_flyer.lasting_contact import ContactSolver
 from impact_envs.free_flyer.pair import (
     CONTACT_STEP,
     GRAZE,
-    LOW_SPEED,
     PART_SPEED,
     REST_GAP,
     REST_PRESS,
-    REST_SPEED,
+    REST_SHARE,
     SIMULTANEOUS,
     compute_approach,
+    compute_force_press,
     compute_press,
     find_contact,
+    find_low_speed,
     find_time_of_impact,
     remove_overlap,
 )
@@ -45,7 +46,7 @@ from impact_envs.free_flyer.schema import (
     Physics,
 )
 from impact_envs.physics.convex import Contact
-from impact_envs.physics.impact import Impact, compute_restitution, is_rebound, solve_contacts
+from impact_envs.physics.impact import Impact, LastingContact, compute_restitution, is_rebound, solve_contacts
 
 EVENTS = 20_000  # in one control period; more means the rules above have failed
 
@@ -74,6 +75,7 @@ class FreeFlyerModel:
         self._fixed += [make_obstacle(name, area.corners) for name, area in solid.items()]
         movable = len(scenario.bodies)
         self._movable_pairs = list(itertools.combinations(range(movable), 2))
+        self._rest_speed = scenario.rest_speed
         self._faces = [(movable + k, body.faces) for k, body in enumerate(self._fixed)]
         self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
 
@@ -85,6 +87,7 @@ class FreeFlyerModel:
         """
         self.physics = physics
         self._steps = 0
+        self._held: dict[Pair, np.ndarray] = {}
         self._owed = {name: [0.0, 0.0] for name in self.scenario.robots}
         self._gains = dict(zip(self.scenario.robots, physics.thruster.reshape(-1, 3, 2), strict=True))
         self._bodies = [self._make_body(name) for name in self.scenario.bodies] + self._fixed
@@ -143,9 +146,22 @@ class FreeFlyerModel:
             raise InputError(f"controls must name every robot once, not so: {wrong}; {choices(wrong, self._robots)}")
         for name, control in controls.items():
             self._apply_command(name, control)
+        self._held = {}
         impacts = self._advance_period(self.scenario.control_period)
         self._steps += 1
         return impacts
+
+    @property
+    def contacts(self) -> list[LastingContact]:
+        """Return what lasting contacts exchanged in the last control period, one record for each pair."""
+        found = []
+        for pair, impulse in sorted(self._held.items()):
+            a, b = self._get_bodies(pair)
+            if b.fixed:  # the fixed one is named first
+                a, b, impulse = b, a, -impulse
+            if impulse.any():
+                found.append(LastingContact(self.time, a.name, b.name, (float(impulse[0]), float(impulse[1]))))
+        return found
 
     def _make_body(self, name: str) -> Body:
         table, row = self.scenario.body(name), self.physics.body[self.scenario.bodies.index(name)].tolist()
@@ -209,6 +225,10 @@ class FreeFlyerModel:
                 near = self._find_near_pairs(left)
             first, hits = self._find_first_impact(near, pressed | idle, left)
             h = min(first, left)
+            if pressed:
+                assert solver is not None
+                for pair, impulse in solver.impulses.items():
+                    self._add_held(pair, h / left * np.array(impulse))
             for body in self._movable:
                 body.fly(h)
             t = period if h == period - t else t + h
@@ -266,7 +286,7 @@ class FreeFlyerModel:
             contact = find_contact(a, b)
             if contact.gap <= REST_GAP:
                 approach = compute_approach(a, b, contact)
-                if -PART_SPEED <= approach <= REST_SPEED:
+                if -PART_SPEED <= approach <= REST_SHARE * self._rest_speed:
                     touching[pair] = press = compute_press(a, b, contact)
                     # Parting bodies are pressed if the pressure turns them round within a contact step.
                     pressed = pressed or press > max(REST_PRESS, -approach / CONTACT_STEP)
@@ -294,8 +314,9 @@ class FreeFlyerModel:
     def _does_rebound(self, pair: Pair, contact: Contact) -> bool:
         """Return whether an impact is more than the start of a lasting contact."""
         a, b = self._get_bodies(pair)
-        speed, press = compute_approach(a, b, contact), compute_press(a, b, contact)
-        return is_rebound(speed, press, LOW_SPEED, CONTACT_STEP)
+        measure = compute_force_press if a.lever > 0 or b.lever > 0 else compute_press
+        speed, press = compute_approach(a, b, contact), measure(a, b, contact)
+        return is_rebound(speed, press, find_low_speed(press, self._rest_speed), CONTACT_STEP)
 
     def _start_lasting_contacts(self, contacts: Mapping[Pair, Contact]) -> None:
         """Bring everything that touches to rest on each other, without restitution."""
@@ -304,10 +325,14 @@ class FreeFlyerModel:
             for pair, contact in contacts.items()
             if contact.gap <= REST_GAP and not self._does_rebound(pair, contact)
         }
-        self._apply_impulses(touching, dict.fromkeys(touching, 0.0))
+        for pair, impulse in self._apply_impulses(touching, dict.fromkeys(touching, 0.0)).items():
+            self._add_held(pair, impulse)
         for pair, contact in touching.items():
             if contact.gap < -GRAZE:
                 remove_overlap(*self._get_bodies(pair), contact)
+
+    def _add_held(self, pair: Pair, impulse: np.ndarray) -> None:
+        self._held[pair] = self._held.get(pair, np.zeros(2)) + impulse
 
     def _apply_impulses(
         self, contacts: Mapping[Pair, Contact], restitution: Mapping[Pair, float]
