@@ -122,7 +122,7 @@ class ImpactEnv(ParallelEnv):
         )
         self.curves: dict[str, np.ndarray] = {}  # polylines to draw under the bodies, for example a plan
         self.impacts: list[Impact] = []  # of the last control period
-        self.contacts: list[LastingContact] = []  # the same of contacts that last; models without any have no list
+        self.lasting_contacts: list[LastingContact] = []  # of the last control period; free-flyers alone have them
         self.impulse = 0.0  # propulsion spent since reset
         self._rng: np.random.Generator | None = None
         self._renderer: Any = None
@@ -159,7 +159,7 @@ class ImpactEnv(ParallelEnv):
             self._rng, _ = seeding.np_random(seed)
         physics = self.scenario.draw(self._rng)
         self.model.reset(physics)
-        self.steps, self.impacts, self.contacts, self.impulse = 0, [], [], 0.0
+        self.steps, self.impacts, self.lasting_contacts, self.impulse = 0, [], [], 0.0
         self.agents = list(self.possible_agents)
         self.task.reset(physics, self.model.state(), self._rng)
         self.signals = self.task.signals(self.model.state())
@@ -190,7 +190,7 @@ class ImpactEnv(ParallelEnv):
             return {}, {}, {}, {}, {}
         controls = self.task.controls(actions)
         self.impacts = self.model.step(controls)
-        self.contacts = getattr(self.model, "contacts", [])
+        self.lasting_contacts = getattr(self.model, "lasting_contacts", [])
         self.steps += 1
         self.impulse += self.task.impulse(controls)
         states = self.model.state()

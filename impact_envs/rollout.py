@@ -111,8 +111,8 @@ class Episode:
         replans: how often the policy changed its plan.
         wall_seconds: duration of the rollout [s].
         reoptimised: how often the policy optimised what is left of the task anew, method to count.
-        contacts: what bodies that rest on each other exchanged, one record for each pair and control period; with the
-            impacts it balances momentum.
+        lasting_contacts: what bodies that rest on each other exchanged, one record for each pair and control period;
+            with the impacts it balances momentum.
     """
 
     scenario: str
@@ -133,7 +133,7 @@ class Episode:
     replans: int
     wall_seconds: float
     reoptimised: Mapping[str, int] = field(default_factory=dict)
-    contacts: tuple[LastingContact, ...] = ()
+    lasting_contacts: tuple[LastingContact, ...] = ()
 
 
 def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode:
@@ -165,7 +165,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         actions.append(chosen)
         rewards.append(reward)
         impacts += env.impacts
-        contacts += env.contacts
+        contacts += env.lasting_contacts
         if on_step:
             on_step(env)
     scenario, diagnostics = env.scenario, policy.diagnostics()
@@ -190,7 +190,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         replans=diagnostics.replans,
         wall_seconds=time.perf_counter() - start,
         reoptimised=dict(diagnostics.reoptimised),
-        contacts=tuple(contacts),
+        lasting_contacts=tuple(contacts),
     )
 
 

@@ -110,7 +110,7 @@ class DiscModel:
         return [self._impact(row) for row in self._log[0, :hits].tolist()] if hits else []
 
     @property
-    def contacts(self) -> list[LastingContact]:
+    def lasting_contacts(self) -> list[LastingContact]:
         """Return what lasting contacts exchanged in the last control period, one record for each pair."""
         held = self._worlds.held[0]
         if not held.any():

@@ -9,9 +9,9 @@ import numpy as np
 
 from impact_envs.compiled import compiled
 from impact_envs.free_flyer.impulse import add_held_impulses, read_contact, solve_impacts, write_contact
-from impact_envs.free_flyer.pair import CONTACT_STEP, GRAZE, REST_GAP, find_low_speed
+from impact_envs.free_flyer.pair import CONTACT_STEP, GRAZE, PART_SPEED, REST_GAP, REST_PRESS, REST_SHARE
 from impact_envs.free_flyer.schema import MASS, RESTITUTION, RESTITUTION_SPEED
-from impact_envs.free_flyer.touch import find_press
+from impact_envs.free_flyer.touch import find_approach, find_gap, find_press
 from impact_envs.free_flyer.worlds import (
     ACROSS,
     ALONG,
@@ -53,7 +53,7 @@ def resolve_impacts(
     for entry in range(count):
         if scratch.contacts[c, entry, TIME] <= end:
             write_contact(arena, worlds, scratch, c, k, rows, scratch.marks[c, entry, NEAR])
-            if contacts[c, rows, GAP] <= REST_GAP and does_rebound(arena, worlds, scratch, c, k, rows):
+            if contacts[c, rows, GAP] <= REST_GAP and does_rebound(arena, worlds, scratch, c, k, rows, count):
                 speed = -contacts[c, rows, PARTING]
                 e = compute_restitution(speed, worlds.contact[k, RESTITUTION], worlds.contact[k, RESTITUTION_SPEED])
                 contacts[c, rows, PARTING_GOAL] = speed * e
@@ -68,12 +68,29 @@ def resolve_impacts(
 
 
 @compiled
-def does_rebound(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, row: int) -> bool:
-    """Return whether an impact is more than the start of a lasting contact."""
+def does_rebound(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, row: int, count: int) -> bool:
+    """Return whether an impact, one of count near pairs, is more than the start of a lasting contact."""
     contacts = scratch.contacts
     i, j, approach = int(contacts[c, row, I]), int(contacts[c, row, J]), -contacts[c, row, PARTING]
     press = find_press(arena, worlds, scratch, c, k, i, j, contacts[c, row, GAP], approach)
-    return is_rebound(approach, press, find_low_speed(press, arena.rest_speed), CONTACT_STEP)
+    low_speed = arena.rest_speed
+    if REST_SHARE * low_speed < approach <= low_speed and not is_any_pressed(arena, worlds, scratch, c, k, count):
+        low_speed *= REST_SHARE
+    return is_rebound(approach, press, low_speed, CONTACT_STEP)
+
+
+@compiled
+def is_any_pressed(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: int) -> bool:
+    """Return whether anything presses any of the near pairs together that touch: if so it may press them all."""
+    for entry in range(count):
+        pair = scratch.marks[c, entry, NEAR]
+        i, j = arena.pairs[pair, 0], arena.pairs[pair, 1]
+        gap, nx, ny, px, py = find_gap(arena, worlds, scratch, c, k, i, j, 0.0)
+        if gap <= REST_GAP:
+            approach = find_approach(arena, worlds, k, i, j, nx, ny, px, py)
+            if approach >= -PART_SPEED and find_press(arena, worlds, scratch, c, k, i, j, gap, approach) > REST_PRESS:
+                return True
+    return False
 
 
 @compiled
@@ -84,7 +101,7 @@ def start_lasting_contacts(arena: Arena, worlds: Worlds, scratch: Scratch, c: in
     rows = 0
     for entry in range(count):
         write_contact(arena, worlds, scratch, c, k, rows, scratch.marks[c, entry, NEAR])
-        if contacts[c, rows, GAP] <= REST_GAP and not does_rebound(arena, worlds, scratch, c, k, rows):
+        if contacts[c, rows, GAP] <= REST_GAP and not does_rebound(arena, worlds, scratch, c, k, rows, count):
             contacts[c, rows, PARTING_GOAL] = 0.0
             rows += 1
     solve_impacts(worlds, scratch, c, k, n, rows)

@@ -28,7 +28,6 @@ from impact_envs.free_flyer.pair import (
     compute_force_press,
     compute_press,
     find_contact,
-    find_low_speed,
     find_time_of_impact,
     remove_overlap,
 )
@@ -152,7 +151,7 @@ class FreeFlyerModel:
         return impacts
 
     @property
-    def contacts(self) -> list[LastingContact]:
+    def lasting_contacts(self) -> list[LastingContact]:
         """Return what lasting contacts exchanged in the last control period, one record for each pair."""
         found = []
         for pair, impulse in sorted(self._held.items()):
@@ -300,9 +299,11 @@ class FreeFlyerModel:
         If all of them are starts of lasting contacts, everything that touches comes to rest together instead.
         """
         contacts = {pair: find_contact(*self._get_bodies(pair)) for pair in hits}
-        genuine = {pair: contact for pair, contact in contacts.items() if self._does_rebound(pair, contact)}
+        genuine = {pair: contact for pair, contact in contacts.items() if self._does_rebound(pair, contact, near)}
         if not genuine:
-            self._start_lasting_contacts(contacts | {pair: find_contact(*self._get_bodies(pair)) for pair in near})
+            self._start_lasting_contacts(
+                contacts | {pair: find_contact(*self._get_bodies(pair)) for pair in near}, near
+            )
             return []
         speeds = {pair: compute_approach(*self._get_bodies(pair), contact) for pair, contact in genuine.items()}
         law = self.physics.contact.tolist()
@@ -311,19 +312,32 @@ class FreeFlyerModel:
         impulses = self._apply_impulses(genuine, restitution)
         return [self._make_impact(pair, genuine[pair], impulses[pair], speeds[pair], time) for pair in genuine]
 
-    def _does_rebound(self, pair: Pair, contact: Contact) -> bool:
-        """Return whether an impact is more than the start of a lasting contact."""
+    def _does_rebound(self, pair: Pair, contact: Contact, near: list[Pair]) -> bool:
+        """Return whether an impact, one of the near pairs, is more than the start of a lasting contact."""
         a, b = self._get_bodies(pair)
         measure = compute_force_press if a.lever > 0 or b.lever > 0 else compute_press
         speed, press = compute_approach(a, b, contact), measure(a, b, contact)
-        return is_rebound(speed, press, find_low_speed(press, self._rest_speed), CONTACT_STEP)
+        low_speed = self._rest_speed
+        if REST_SHARE * low_speed < speed <= low_speed and not self._is_any_pressed(near):
+            low_speed *= REST_SHARE
+        return is_rebound(speed, press, low_speed, CONTACT_STEP)
 
-    def _start_lasting_contacts(self, contacts: Mapping[Pair, Contact]) -> None:
+    def _is_any_pressed(self, near: list[Pair]) -> bool:
+        """Return whether anything presses any of the pairs together that touch: if so it may press them all."""
+        for pair in near:
+            a, b = self._get_bodies(pair)
+            contact = find_contact(a, b)
+            touching = contact.gap <= REST_GAP and compute_approach(a, b, contact) >= -PART_SPEED
+            if touching and compute_press(a, b, contact) > REST_PRESS:
+                return True
+        return False
+
+    def _start_lasting_contacts(self, contacts: Mapping[Pair, Contact], near: list[Pair]) -> None:
         """Bring everything that touches to rest on each other, without restitution."""
         touching = {
             pair: contact
             for pair, contact in contacts.items()
-            if contact.gap <= REST_GAP and not self._does_rebound(pair, contact)
+            if contact.gap <= REST_GAP and not self._does_rebound(pair, contact, near)
         }
         for pair, impulse in self._apply_impulses(touching, dict.fromkeys(touching, 0.0)).items():
             self._add_held(pair, impulse)

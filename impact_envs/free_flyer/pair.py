@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 
-from impact_envs.compiled import compiled
 from impact_envs.free_flyer.body import Body
 from impact_envs.physics.convex import Contact, compute_contact
 from impact_envs.physics.time_of_impact import find_crossing, find_disc_impact, find_face_impact
@@ -27,17 +26,6 @@ SIMULTANEOUS = 1e-12
 # Polygons may graze each other unseen over this much motion, and touch when they overlap by this much; all
 # bodies may sink this much into what they rest on [m].
 STRIDE, GRAZE, SINK = 1e-3, 1e-10, 1e-6
-
-
-@compiled
-def find_low_speed(press: float, rest_speed: float) -> float:
-    """Return the speed below which an impact is the start of a lasting contact [m/s].
-
-    Args:
-        press: acceleration that presses the bodies together [m/s^2]; without, nothing brings them back.
-        rest_speed: of the scenario [m/s].
-    """
-    return rest_speed if press > REST_PRESS else REST_SHARE * rest_speed
 
 
 def find_contact(a: Body, b: Body) -> Contact:

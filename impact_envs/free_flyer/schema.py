@@ -51,8 +51,9 @@ GAIN, THRUSTER_COLUMNS = 0, 6
 class World(Box):
     """The box that bodies cannot leave, and what counts as rest in it."""
 
-    # Bodies that something presses together come to rest on each other instead of rebounding where they meet more
-    # slowly than this, and all bodies at a thousandth of it; unset: see `FreeFlyerScenario.rest_speed` [m/s].
+    # Bodies that meet more slowly than this come to rest on each other instead of rebounding, where anything presses
+    # touching bodies together; where nothing does, at a thousandth of it. Unset: the slowest speed limit / 2000, at
+    # most 1e-4 [m/s].
     rest_speed: Positive | None = None
 
 

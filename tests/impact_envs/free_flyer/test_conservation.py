@@ -95,7 +95,7 @@ def test_the_rest_speed_of_a_scenario_is_its_own(engine: type[Model]) -> None:
         scenario = make_scenario({}, 0.8, world={**world, "rest_speed": rest_speed}, robot=robot)
         model = engine(scenario)
         impacts = run(model, 1, (0.01, 0.0, 0.0))
-        kinds.append((len(impacts), len(model.contacts), float(model.state()[0, 2])))
+        kinds.append((len(impacts), len(model.lasting_contacts), float(model.state()[0, 2])))
     assert kinds[0] == (0, 1, pytest.approx(0.0, abs=1e-9))
     assert kinds[1][0] == 1 and kinds[1][2] == pytest.approx(-0.04 + 0.001)
 
@@ -158,12 +158,12 @@ def test_impacts_and_lasting_contacts_balance_the_momentum_of_every_body(
         expected = before.copy()
         middle = heading[0] + 0.05 * heading[1]
         expected[0] += 0.1 * force[0] * np.array([np.cos(middle), np.sin(middle)])
-        for record in (*impacts, *model.contacts):
+        for record in (*impacts, *model.lasting_contacts):
             for name, sign in ((record.a, -1.0), (record.b, 1.0)):
                 if name in names:
                     expected[names.index(name)] += sign * np.array(record.impulse)
         np.testing.assert_allclose(find_momenta(model), expected, atol=1e-9)
-        kinds = Counter((contact.a, contact.b) for contact in model.contacts)
+        kinds = Counter((contact.a, contact.b) for contact in model.lasting_contacts)
         assert not kinds or max(kinds.values()) == 1  # one record for each pair of bodies and wall
         lasting += len(kinds)
     assert lasting > 3
@@ -175,5 +175,5 @@ def test_an_episode_keeps_what_lasting_contacts_exchanged() -> None:
     robot = {"start": (0.2, 2.0), "start_velocity": (-0.3, 0.0)}
     env = parallel_env(make_scenario({}, 0.0, robot=robot), max_cycles=5)
     episode = rollout(env, ZeroPolicy(env), 0)
-    total = np.sum([record.impulse for record in (*episode.impacts, *episode.contacts)], axis=0)
+    total = np.sum([record.impulse for record in (*episode.impacts, *episode.lasting_contacts)], axis=0)
     np.testing.assert_allclose(total, (0.3, 0.0), atol=1e-12)
