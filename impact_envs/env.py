@@ -15,7 +15,7 @@ from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from impact_envs.failure import NotFinite, SimulationFailed, TooManyEvents, check_finite
 from impact_envs.observation import Layout
-from impact_envs.physics.impact import Impact
+from impact_envs.physics.impact import Impact, LastingContact
 from impact_envs.reward import compute_reward, compute_team_reward
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.shape import Shape
@@ -131,6 +131,7 @@ class ImpactEnv(ParallelEnv):
         )
         self.curves: dict[str, np.ndarray] = {}  # polylines to draw under the bodies, for example a plan
         self.impacts: list[Impact] = []  # of the last control period
+        self.lasting_contacts: list[LastingContact] = []  # of the last control period; free-flyers alone have them
         self.impulse = 0.0  # propulsion spent since reset
         self.failure: SimulationFailed | None = None  # that ended the episode
         self._rng: np.random.Generator | None = None
@@ -168,7 +169,8 @@ class ImpactEnv(ParallelEnv):
             self._rng, _ = seeding.np_random(seed)
         physics = self.scenario.draw(self._rng)
         self.model.reset(physics)
-        self.steps, self.impacts, self.impulse, self.failure = 0, [], 0.0, None
+        self.steps, self.impacts, self.lasting_contacts = 0, [], []
+        self.impulse, self.failure = 0.0, None
         self.agents = list(self.possible_agents)
         self._states = self.model.state()
         self.task.reset(physics, self._states, self._rng)
@@ -264,7 +266,7 @@ class ImpactEnv(ParallelEnv):
 
     def _advance(self, controls: Mapping[str, np.ndarray]) -> None:
         """Move the world through one control period; where that fails, keep the last states and the failure."""
-        self.impacts = []
+        self.impacts, self.lasting_contacts = [], []
         try:
             impacts = self.model.step(controls)
             states = self.model.state()
@@ -275,6 +277,7 @@ class ImpactEnv(ParallelEnv):
             self.failure = self._explain(error)
         else:
             self.impacts, self._states = impacts, states
+            self.lasting_contacts = getattr(self.model, "lasting_contacts", [])
 
     def _explain(self, error: Exception) -> SimulationFailed:
         """Return why the model failed: arithmetic may stop at a state that is not finite before anybody looks at it."""

@@ -13,7 +13,7 @@ import numpy as np
 from impact_envs.stl import Trace, robustness, satisfied
 
 if TYPE_CHECKING:  # reading a scenario does not wait for the compiler
-    from impact_envs.physics.impact import Impact
+    from impact_envs.physics.impact import Impact, LastingContact
 
 
 @dataclass
@@ -113,6 +113,8 @@ class Episode:
         reoptimised: how often the policy optimised what is left of the task anew, method to count.
         failure: why the simulation failed; "" where it did not. Robustness is then the lowest, minus the world's
             diagonal.
+        lasting_contacts: what bodies that rest on each other exchanged, one record for each pair and control period;
+            with the impacts it balances momentum.
     """
 
     scenario: str
@@ -134,6 +136,7 @@ class Episode:
     wall_seconds: float
     reoptimised: Mapping[str, int] = field(default_factory=dict)
     failure: str = ""
+    lasting_contacts: tuple[LastingContact, ...] = ()
 
 
 def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode:
@@ -154,6 +157,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
     policy.reset(seed)
     signals, bounds, actions, rewards = [env.signals], [env.bounds], [], []
     impacts: list[Impact] = []
+    contacts: list[LastingContact] = []
     if on_step:
         on_step(env)
     while env.agents:
@@ -164,6 +168,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         actions.append(chosen)
         rewards.append(reward)
         impacts += env.impacts
+        contacts += env.lasting_contacts
         if on_step:
             on_step(env)
     scenario, diagnostics = env.scenario, policy.diagnostics()
@@ -190,6 +195,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         wall_seconds=time.perf_counter() - start,
         reoptimised=dict(diagnostics.reoptimised),
         failure=str(env.failure) if failed else "",
+        lasting_contacts=tuple(contacts),
     )
 
 

@@ -99,6 +99,10 @@ class Body:
         """Return the velocity of a point of the body [m/s]."""
         return self.vx - self.omega * (point[1] - self.y), self.vy + self.omega * (point[0] - self.x)
 
+    def thrust_at(self, point: Point) -> Point:
+        """Return what force and torque add to the acceleration of a point of the body [m/s^2]."""
+        return self.ax - self.alpha * (point[1] - self.y), self.ay + self.alpha * (point[0] - self.x)
+
 
 def make_walls(lower: Point, upper: Point) -> list[Body]:
     """Return the four sides of the world box as fixed bodies, all called ``world``.

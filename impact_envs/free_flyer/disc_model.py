@@ -26,7 +26,7 @@ from impact_envs.free_flyer.worlds import (
     write_physics,
     write_states,
 )
-from impact_envs.physics.impact import Impact
+from impact_envs.physics.impact import Impact, LastingContact
 
 
 def make_model(scenario: FreeFlyerScenario) -> FreeFlyerModel | DiscModel:
@@ -63,7 +63,7 @@ class DiscModel:
         """
         self.physics = physics
         self._arena = self._arena._replace(on_off=physics.true.thruster_on_off)
-        worlds = self._worlds = make_worlds(self._arena, 1, shifts=True, gains=True)
+        worlds = self._worlds = make_worlds(self._arena, 1, shifts=True, gains=True, held=True)
         write_physics(worlds, 0, physics)
         self._states = np.empty((1, len(self.scenario.bodies), 6))
         self._arrays = (*self._arena, *worlds, *self._scratch, self._log)
@@ -108,6 +108,20 @@ class DiscModel:
             raise TooManyEvents(EVENTS)
         hits = int(self._worlds.counter[0, HITS])
         return [self._impact(row) for row in self._log[0, :hits].tolist()] if hits else []
+
+    @property
+    def lasting_contacts(self) -> list[LastingContact]:
+        """Return what lasting contacts exchanged in the last control period, one record for each pair."""
+        held = self._worlds.held[0]
+        if not held.any():
+            return []
+        found, n = [], len(self.scenario.bodies)
+        for (i, j), impulse in zip(self._arena.pairs.tolist(), held, strict=True):
+            if impulse.any():
+                a, b, sign = (i, j, 1.0) if j < n else (j, i, -1.0)  # the fixed one is named first
+                x, y = (sign * impulse).tolist()
+                found.append(LastingContact(self.time, self._names[a], self._names[b], (x, y)))
+        return found
 
     def _impact(self, row: list[float]) -> Impact:
         time, i, j, px, py, nx, ny, along, across, speed = row

@@ -10,9 +10,10 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
-from impact_envs.free_flyer.hits import hit
+from impact_envs.free_flyer.hits import resolve_impacts
+from impact_envs.free_flyer.impulse import add_held_impulses
 from impact_envs.free_flyer.pair import CONTACT_STEP, EVENTS, REST_GAP, SIMULTANEOUS
-from impact_envs.free_flyer.resting import clear_rest, find_resting, hold
+from impact_envs.free_flyer.resting import add_contact_forces, clear_rest, find_resting
 from impact_envs.free_flyer.schema import DRIFT_X, DRIFT_Y, INERTIA, MASS, OFFSET_X, OFFSET_Y
 from impact_envs.free_flyer.touch import find_touch
 from impact_envs.free_flyer.worlds import (
@@ -58,27 +59,30 @@ def step_world(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, 
     """
     n = arena.discs.shape[0]
     worlds.counter[k, HITS] = 0
+    for pair in range(worlds.held.shape[1]):
+        worlds.held[k, pair, 0] = worlds.held[k, pair, 1] = 0.0
     for i in range(n):
-        felt = worlds.state[k, i, FELT] > 0.0
+        was_hit = worlds.state[k, i, FELT] > 0.0
         worlds.state[k, i, FELT] = 0.0
         if i < arena.robots:
-            actuate(arena, worlds, scratch, c, k, i)
+            apply_command(arena, worlds, scratch, c, k, i)
         else:
             drifts = worlds.body.shape[2] > DRIFT_X
             scratch.motion[c, i, HELD] = worlds.body[k, i, DRIFT_X] if drifts else 0.0
             scratch.motion[c, i, HELD + 1] = worlds.body[k, i, DRIFT_Y] if drifts else 0.0
             scratch.motion[c, i, HELD + 2] = 0.0
             if worlds.body.shape[2] > SINCE and arena.discs[i, LIMIT] > 0.0:
-                ax, ay = keep_velocity(arena, worlds, k, i, felt)
+                ax, ay = keep_velocity(arena, worlds, k, i, was_hit)
                 scratch.motion[c, i, HELD] += ax
                 scratch.motion[c, i, HELD + 1] += ay
-    advance(arena, worlds, scratch, log, c, k)
+    advance_period(arena, worlds, scratch, log, c, k)
     worlds.counter[k, STEPS] += 1
 
 
 @compiled
 def step_alone(
     period: float,
+    rest_speed: float,
     on_off: bool,
     robots: int,
     discs: np.ndarray,
@@ -89,6 +93,7 @@ def step_alone(
     body: np.ndarray,
     thruster: np.ndarray,
     contact: np.ndarray,
+    held: np.ndarray,
     counter: np.ndarray,
     motion: np.ndarray,
     marks: np.ndarray,
@@ -98,8 +103,8 @@ def step_alone(
     states: np.ndarray,
 ) -> None:
     """Advance world 0 and read its states: ``step_world`` for Python, which hands over arrays faster than tuples."""
-    worlds = Worlds(state, body, thruster, contact, counter)
-    arena = Arena(period, on_off, robots, discs, pairs, first_face, faces)
+    worlds = Worlds(state, body, thruster, contact, held, counter)
+    arena = Arena(period, rest_speed, on_off, robots, discs, pairs, first_face, faces)
     for i in range(robots):
         for channel in range(3):
             motion[0, i, HELD + channel] = controls[i, channel]
@@ -108,13 +113,13 @@ def step_alone(
 
 
 @inlined
-def actuate(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, i: int) -> None:
+def apply_command(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, i: int) -> None:
     """Turn robot i's command into accelerations; the force turns with the heading of mid-period free flight."""
     held = scratch.motion
     fx, fy, tau = held[c, i, HELD], held[c, i, HELD + 1], held[c, i, HELD + 2]
     if arena.on_off:
-        fx = quantise(worlds, k, i, 0, fx, arena.discs[i, LIMIT])
-        fy = quantise(worlds, k, i, 1, fy, arena.discs[i, LIMIT + 1])
+        fx = quantise_force(worlds, k, i, 0, fx, arena.discs[i, LIMIT])
+        fy = quantise_force(worlds, k, i, 1, fy, arena.discs[i, LIMIT + 1])
     if worlds.thruster.shape[1] > 0:
         fx *= worlds.thruster[k, i, 0 if fx >= 0 else 1]
         fy *= worlds.thruster[k, i, 2 if fy >= 0 else 3]
@@ -130,7 +135,7 @@ def actuate(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, i: i
 
 
 @inlined
-def keep_velocity(arena: Arena, worlds: Worlds, k: int, i: int, felt: bool) -> tuple[float, float]:
+def keep_velocity(arena: Arena, worlds: Worlds, k: int, i: int, was_hit: bool) -> tuple[float, float]:
     r"""Return the acceleration by which object i keeps its velocity between impacts [m/s^2].
 
     For 1 s after an impact it does nothing but average its velocity, then it follows the straight line of that
@@ -140,12 +145,12 @@ def keep_velocity(arena: Arena, worlds: Worlds, k: int, i: int, felt: bool) -> t
     """
     body, h = worlds.body, arena.period
     x, y = worlds.state[k, i, 0], worlds.state[k, i, 1]
-    if worlds.counter[k, STEPS] == 0 or felt:
-        body[k, i, SINCE] = 0.0 if felt else math.inf
+    if worlds.counter[k, STEPS] == 0 or was_hit:
+        body[k, i, SINCE] = 0.0 if was_hit else math.inf
         body[k, i, LINE_X], body[k, i, LINE_Y] = x, y
         # What it was given at the start it keeps; after an impact this is measured first.
-        body[k, i, LINE_VX] = 0.0 if felt else worlds.state[k, i, 2]
-        body[k, i, LINE_VY] = 0.0 if felt else worlds.state[k, i, 3]
+        body[k, i, LINE_VX] = 0.0 if was_hit else worlds.state[k, i, 2]
+        body[k, i, LINE_VY] = 0.0 if was_hit else worlds.state[k, i, 3]
     else:
         body[k, i, SINCE] += h
     since = body[k, i, SINCE]
@@ -166,7 +171,7 @@ def keep_velocity(arena: Arena, worlds: Worlds, k: int, i: int, felt: bool) -> t
 
 
 @inlined
-def quantise(worlds: Worlds, k: int, i: int, axis: int, command: float, limit: float) -> float:
+def quantise_force(worlds: Worlds, k: int, i: int, axis: int, command: float, limit: float) -> float:
     """Return a force that is off or full, and whose sum follows the command's to half a pulse."""
     wanted = command / limit + worlds.thruster[k, i, OWED + axis]
     pulse = 1.0 if wanted > 0.5 else -1.0 if wanted < -0.5 else 0.0
@@ -175,12 +180,12 @@ def quantise(worlds: Worlds, k: int, i: int, axis: int, command: float, limit: f
 
 
 @inlined
-def advance(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: int, k: int) -> None:
+def advance_period(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: int, k: int) -> None:
     """Move all bodies through one control period, event by event."""
     n = arena.discs.shape[0]
     period, t = arena.period, 0.0
     for _ in range(EVENTS):
-        left = period - t
+        left, rows = period - t, 0
         for i in range(n):
             for axis in range(3):
                 scratch.motion[c, i, ACCELERATION + axis] = scratch.motion[c, i, HELD + axis]
@@ -189,14 +194,16 @@ def advance(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: 
         if pressed > 0:
             # On walls, without friction, forces stay what they are; elsewhere they turn with the normal.
             left = CONTACT_STEP if pressed > 1 and left > CONTACT_STEP + SIMULTANEOUS else left
-            hold(arena, worlds, scratch, c, k, found, left)
+            rows = add_contact_forces(arena, worlds, scratch, c, k, found, left)
             count = find_near(arena, worlds, scratch, c, k, left)
         first = find_first(arena, worlds, scratch, c, k, count, left)
         h = min(first, left)
-        fly(worlds, scratch, c, k, n, h)
+        fly_bodies(worlds, scratch, c, k, n, h)
+        if rows > 0:
+            add_held_impulses(worlds, scratch, c, k, rows, h / left)
         t = period if h == period - t else t + h
         if first <= left:
-            hit(arena, worlds, scratch, log, c, k, count, min(left, first + SIMULTANEOUS), t)
+            resolve_impacts(arena, worlds, scratch, log, c, k, count, min(left, first + SIMULTANEOUS), t)
         if found > 0:
             clear_rest(scratch, c)
         if t >= period:
@@ -205,7 +212,7 @@ def advance(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: 
 
 
 @inlined
-def fly(worlds: Worlds, scratch: Scratch, c: int, k: int, n: int, h: float) -> None:
+def fly_bodies(worlds: Worlds, scratch: Scratch, c: int, k: int, n: int, h: float) -> None:
     """Move all bodies for a time h without contact: x+ = x + v h + a h^2 / 2, v+ = v + a h."""
     state, motion = worlds.state, scratch.motion
     for i in range(n):

@@ -27,7 +27,7 @@ from impact_envs.stream import draw_doubles, seed_streams
 
 # numba's simulator runs the kernels as plain Python on arrays in main memory (NUMBA_ENABLE_CUDASIM=1).
 SIMULATED = bool(config.ENABLE_CUDASIM)  # type: ignore[attr-defined]
-# Each thread keeps what a step computes with in its own local memory, 128 bytes per pair and 104 per body, and the
+# Each thread keeps what a step computes with in its own local memory, 136 bytes per pair and 104 per body, and the
 # driver sets it aside for all threads that a GPU can hold.
 MOST_BODIES, MOST_PAIRS = 12, 256
 THREADS = 64  # per block

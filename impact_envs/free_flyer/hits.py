@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from impact_envs.compiled import compiled
-from impact_envs.free_flyer.impulse import collide, read_contact, write_contact
-from impact_envs.free_flyer.pair import CONTACT_STEP, GRAZE, LOW_SPEED, REST_GAP
+from impact_envs.free_flyer.impulse import add_held_impulses, read_contact, solve_impacts, write_contact
+from impact_envs.free_flyer.pair import CONTACT_STEP, GRAZE, PART_SPEED, REST_GAP, REST_PRESS, REST_SHARE
 from impact_envs.free_flyer.schema import MASS, RESTITUTION, RESTITUTION_SPEED
-from impact_envs.free_flyer.touch import find_press
+from impact_envs.free_flyer.touch import find_approach, find_gap, find_press
 from impact_envs.free_flyer.worlds import (
     ACROSS,
     ALONG,
@@ -34,7 +34,7 @@ from impact_envs.physics.impact import compute_restitution, is_rebound
 
 
 @compiled
-def hit(
+def resolve_impacts(
     arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: int, k: int, count: int, end: float, t: float
 ) -> None:
     """Change velocities by the impacts of one instant.
@@ -53,42 +53,60 @@ def hit(
     for entry in range(count):
         if scratch.contacts[c, entry, TIME] <= end:
             write_contact(arena, worlds, scratch, c, k, rows, scratch.marks[c, entry, NEAR])
-            if contacts[c, rows, GAP] <= REST_GAP and rebounds(arena, worlds, scratch, c, k, rows):
+            if contacts[c, rows, GAP] <= REST_GAP and does_rebound(arena, worlds, scratch, c, k, rows, count):
                 speed = -contacts[c, rows, PARTING]
                 e = compute_restitution(speed, worlds.contact[k, RESTITUTION], worlds.contact[k, RESTITUTION_SPEED])
                 contacts[c, rows, PARTING_GOAL] = speed * e
                 rows += 1
     if rows == 0:
-        settle(arena, worlds, scratch, c, k, count)
+        start_lasting_contacts(arena, worlds, scratch, c, k, count)
         return
-    collide(worlds, scratch, c, k, n, rows)
+    solve_impacts(worlds, scratch, c, k, n, rows)
     for row in range(rows):
-        report(arena, worlds, scratch, log, c, k, row, t)
+        log_impact(arena, worlds, scratch, log, c, k, row, t)
     change_velocities(worlds, scratch, c, k, n)
 
 
 @compiled
-def rebounds(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, row: int) -> bool:
-    """Return whether an impact is more than the start of a lasting contact."""
+def does_rebound(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, row: int, count: int) -> bool:
+    """Return whether an impact, one of count near pairs, is more than the start of a lasting contact."""
     contacts = scratch.contacts
     i, j, approach = int(contacts[c, row, I]), int(contacts[c, row, J]), -contacts[c, row, PARTING]
     press = find_press(arena, worlds, scratch, c, k, i, j, contacts[c, row, GAP], approach)
-    return is_rebound(approach, press, LOW_SPEED, CONTACT_STEP)
+    low_speed = arena.rest_speed
+    if REST_SHARE * low_speed < approach <= low_speed and not is_any_pressed(arena, worlds, scratch, c, k, count):
+        low_speed *= REST_SHARE
+    return is_rebound(approach, press, low_speed, CONTACT_STEP)
 
 
 @compiled
-def settle(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: int) -> None:
+def is_any_pressed(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: int) -> bool:
+    """Return whether anything presses any of the near pairs together that touch: if so it may press them all."""
+    for entry in range(count):
+        pair = scratch.marks[c, entry, NEAR]
+        i, j = arena.pairs[pair, 0], arena.pairs[pair, 1]
+        gap, nx, ny, px, py = find_gap(arena, worlds, scratch, c, k, i, j, 0.0)
+        if gap <= REST_GAP:
+            approach = find_approach(arena, worlds, k, i, j, nx, ny, px, py)
+            if approach >= -PART_SPEED and find_press(arena, worlds, scratch, c, k, i, j, gap, approach) > REST_PRESS:
+                return True
+    return False
+
+
+@compiled
+def start_lasting_contacts(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: int) -> None:
     """Bring everything that touches to rest on each other, without restitution, and take back overlap."""
     n = arena.discs.shape[0]
     contacts = scratch.contacts
     rows = 0
     for entry in range(count):
         write_contact(arena, worlds, scratch, c, k, rows, scratch.marks[c, entry, NEAR])
-        if contacts[c, rows, GAP] <= REST_GAP and not rebounds(arena, worlds, scratch, c, k, rows):
+        if contacts[c, rows, GAP] <= REST_GAP and not does_rebound(arena, worlds, scratch, c, k, rows, count):
             contacts[c, rows, PARTING_GOAL] = 0.0
             rows += 1
-    collide(worlds, scratch, c, k, n, rows)
+    solve_impacts(worlds, scratch, c, k, n, rows)
     change_velocities(worlds, scratch, c, k, n)
+    add_held_impulses(worlds, scratch, c, k, rows, 1.0)
     for row in range(rows):
         i, j, nx, ny, _, _ = read_contact(scratch, c, row)
         gap = contacts[c, row, GAP]
@@ -111,7 +129,9 @@ def change_velocities(worlds: Worlds, scratch: Scratch, c: int, k: int, n: int) 
 
 
 @compiled
-def report(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: int, k: int, row: int, t: float) -> None:
+def log_impact(
+    arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, c: int, k: int, row: int, t: float
+) -> None:
     """Write an impact to the log and to what its bodies feel."""
     n = arena.discs.shape[0]
     i, j, nx, ny, px, py = read_contact(scratch, c, row)

@@ -19,6 +19,7 @@ from impact_envs.free_flyer.worlds import (
     GAP,
     NX,
     NY,
+    PAIR,
     PARTING,
     PARTING_GOAL,
     PX,
@@ -40,7 +41,7 @@ def write_contact(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int
     contacts = scratch.contacts
     i, j = arena.pairs[pair, 0], arena.pairs[pair, 1]
     gap, nx, ny, px, py = find_gap(arena, worlds, scratch, c, k, i, j, 0.0)
-    contacts[c, row, I], contacts[c, row, J], contacts[c, row, GAP] = i, j, gap
+    contacts[c, row, I], contacts[c, row, J], contacts[c, row, GAP], contacts[c, row, PAIR] = i, j, gap, pair
     contacts[c, row, NX], contacts[c, row, NY], contacts[c, row, PX], contacts[c, row, PY] = nx, ny, px, py
     contacts[c, row, PARTING] = -find_approach(arena, worlds, k, i, j, nx, ny, px, py)
     contacts[c, row, SLIP] = -find_approach(arena, worlds, k, i, j, -ny, nx, px, py)
@@ -92,7 +93,7 @@ def find_speed(
 
 
 @compiled
-def push(
+def add_impulse(
     worlds: Worlds,
     scratch: Scratch,
     c: int,
@@ -121,7 +122,7 @@ def push(
 
 
 @compiled
-def relax(
+def solve_impulses(
     worlds: Worlds, scratch: Scratch, c: int, k: int, n: int, column: int, count: int, aim: float, friction: float
 ) -> None:
     """Solve for impulses that bring the speeds of contact to their goals, or as near as their bounds let it be.
@@ -150,7 +151,7 @@ def relax(
             new = project_impulse(old, excess, mobility, 0.0, math.inf)
             if new != old:
                 contacts[c, row, ALONG] = new
-                push(worlds, scratch, c, k, n, column, i, j, nx, ny, px, py, new - old)
+                add_impulse(worlds, scratch, c, k, n, column, i, j, nx, ny, px, py, new - old)
             largest, step = max(largest, new), max(step, abs(new - old))
         if friction > 0:
             for row in range(count):
@@ -162,26 +163,39 @@ def relax(
                 new = project_impulse(old, excess, mobility, -limit, limit)
                 if new != old:
                     contacts[c, row, ACROSS] = new
-                    push(worlds, scratch, c, k, n, column, i, j, -ny, nx, px, py, new - old)
+                    add_impulse(worlds, scratch, c, k, n, column, i, j, -ny, nx, px, py, new - old)
                 step = max(step, abs(new - old))
         if (count == 1 and friction == 0) or step <= SMALL_CHANGE * largest:
             return
 
 
 @compiled
-def collide(worlds: Worlds, scratch: Scratch, c: int, k: int, n: int, count: int) -> None:
+def solve_impacts(worlds: Worlds, scratch: Scratch, c: int, k: int, n: int, count: int) -> None:
     """Solve for the impulses of an impact; PARTING, PARTING_GOAL and SLIP are given.
 
     With friction the tangential impulses stop the slip that is left when compression ends (Chatterjee & Ruina).
     """
     friction = worlds.contact[k, FRICTION]
-    relax(worlds, scratch, c, k, n, CHANGE, count, 1.0, 0.0)
+    solve_impulses(worlds, scratch, c, k, n, CHANGE, count, 1.0, 0.0)
     if friction == 0:
         return
-    relax(worlds, scratch, c, k, n, COMPRESSION, count, 0.0, 0.0)
+    solve_impulses(worlds, scratch, c, k, n, COMPRESSION, count, 0.0, 0.0)
     for row in range(count):
         i, j, nx, ny, px, py = read_contact(scratch, c, row)
         slip = find_speed(worlds, scratch, c, k, n, CHANGE, i, j, -ny, nx, px, py)
         slip -= find_speed(worlds, scratch, c, k, n, COMPRESSION, i, j, -ny, nx, px, py)
         scratch.contacts[c, row, SLIP_GOAL] = slip
-    relax(worlds, scratch, c, k, n, CHANGE, count, 1.0, friction)
+    solve_impulses(worlds, scratch, c, k, n, CHANGE, count, 1.0, friction)
+
+
+@compiled
+def add_held_impulses(worlds: Worlds, scratch: Scratch, c: int, k: int, count: int, share: float) -> None:
+    """Add a share of the impulses of lasting contacts to what world k's pairs exchange in this control period."""
+    if worlds.held.shape[1] == 0:
+        return
+    for row in range(count):
+        _, _, nx, ny, _, _ = read_contact(scratch, c, row)
+        along, across = scratch.contacts[c, row, ALONG], scratch.contacts[c, row, ACROSS]
+        pair = int(scratch.contacts[c, row, PAIR])
+        worlds.held[k, pair, 0] += share * (along * nx - across * ny)
+        worlds.held[k, pair, 1] += share * (along * ny + across * nx)

@@ -22,6 +22,9 @@ class ContactSolver:
     Args:
         bodies: movable and fixed ones.
         friction: Coulomb coefficient of every contact.
+
+    Attributes:
+        impulses: of each pair over the last step, on its second body [N s].
     """
 
     def __init__(self, bodies: Sequence[Body], friction: float) -> None:
@@ -33,16 +36,17 @@ class ContactSolver:
         self.movable: list[tuple[Body, pymunk.Body]] = []
         for index, body in enumerate(bodies):
             self._add(body, index)
-        self.space.on_collision(pre_solve=self._choose)
+        self.impulses: dict[tuple[int, int], tuple[float, float]] = {}
+        self.space.on_collision(pre_solve=self._accept_pair, post_solve=self._keep_impulse)
 
-    def hold(self, pairs: set[tuple[int, int]], h: float) -> None:
+    def add_contact_forces(self, pairs: set[tuple[int, int]], h: float) -> None:
         """Add to the accelerations of all bodies what keeps some pairs from closing in over a time h.
 
         Args:
             pairs: indices of the bodies that rest on each other; all others pass through each other.
             h: for which the contact forces are held [s].
         """
-        self.pairs = pairs
+        self.pairs, self.impulses = pairs, {}
         for body, twin in self.movable:
             twin.position = body.x, body.y
             twin.angle = body.heading
@@ -70,8 +74,13 @@ class ContactSolver:
             self.movable.append((body, twin))
         self.space.add(shape)
 
-    def _choose(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
+    def _accept_pair(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
         a, b = (shape.collision_type for shape in arbiter.shapes)
         arbiter.process_collision = (min(a, b), max(a, b)) in self.pairs
         arbiter.restitution = 0.0
         arbiter.friction = self.friction
+
+    def _keep_impulse(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
+        a, b = (shape.collision_type for shape in arbiter.shapes)
+        x, y = arbiter.total_impulse  # on the first shape
+        self.impulses[min(a, b), max(a, b)] = (-x, -y) if a < b else (x, y)

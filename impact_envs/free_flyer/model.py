@@ -21,17 +21,17 @@ from impact_envs.free_flyer.pair import (
     CONTACT_STEP,
     EVENTS,
     GRAZE,
-    LOW_SPEED,
     PART_SPEED,
     REST_GAP,
     REST_PRESS,
-    REST_SPEED,
+    REST_SHARE,
     SIMULTANEOUS,
     compute_approach,
+    compute_force_press,
     compute_press,
     find_contact,
     find_time_of_impact,
-    part,
+    remove_overlap,
 )
 from impact_envs.free_flyer.schema import (
     DRIFT_X,
@@ -47,7 +47,7 @@ from impact_envs.free_flyer.schema import (
     Physics,
 )
 from impact_envs.physics.convex import Contact
-from impact_envs.physics.impact import Impact, compute_restitution, is_rebound, solve_contacts
+from impact_envs.physics.impact import Impact, LastingContact, compute_restitution, is_rebound, solve_contacts
 
 Pair = tuple[int, int]
 
@@ -74,6 +74,7 @@ class FreeFlyerModel:
         self._fixed += [make_obstacle(name, area.corners) for name, area in solid.items()]
         movable = len(scenario.bodies)
         self._movable_pairs = list(itertools.combinations(range(movable), 2))
+        self._rest_speed = scenario.rest_speed
         self._faces = [(movable + k, body.faces) for k, body in enumerate(self._fixed)]
         self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
 
@@ -85,6 +86,7 @@ class FreeFlyerModel:
         """
         self.physics = physics
         self._steps = 0
+        self._held: dict[Pair, np.ndarray] = {}
         self._owed = {name: [0.0, 0.0] for name in self.scenario.robots}
         self._gains = dict(zip(self.scenario.robots, physics.thruster.reshape(-1, 3, 2), strict=True))
         self._bodies = [self._make_body(name) for name in self.scenario.bodies] + self._fixed
@@ -143,10 +145,23 @@ class FreeFlyerModel:
             wrong = ", ".join(sorted(controls.keys() ^ self._robots.keys()))
             raise InputError(f"controls must name every robot once, not so: {wrong}; {choices(wrong, self._robots)}")
         for name, control in controls.items():
-            self._actuate(name, control)
-        impacts = self._advance(self.scenario.control_period)
+            self._apply_command(name, control)
+        self._held = {}
+        impacts = self._advance_period(self.scenario.control_period)
         self._steps += 1
         return impacts
+
+    @property
+    def lasting_contacts(self) -> list[LastingContact]:
+        """Return what lasting contacts exchanged in the last control period, one record for each pair."""
+        found = []
+        for pair, impulse in sorted(self._held.items()):
+            a, b = self._get_bodies(pair)
+            if b.fixed:  # the fixed one is named first
+                a, b, impulse = b, a, -impulse
+            if impulse.any():
+                found.append(LastingContact(self.time, a.name, b.name, (float(impulse[0]), float(impulse[1]))))
+        return found
 
     def _make_body(self, name: str) -> Body:
         table, row = self.scenario.body(name), self.physics.body[self.scenario.bodies.index(name)].tolist()
@@ -161,7 +176,7 @@ class FreeFlyerModel:
             ay=row[DRIFT_Y],
         )
 
-    def _actuate(self, name: str, control: np.ndarray) -> None:
+    def _apply_command(self, name: str, control: np.ndarray) -> None:
         """Turn a command into the accelerations held over the coming control period."""
         body, table, gain = self._robots[name], self.scenario.robots[name], self._gains[name]
         command = [float(u) for u in control]
@@ -170,7 +185,7 @@ class FreeFlyerModel:
         limits = (table.force_limit, table.force_limit, table.torque_limit)
         command = [min(max(u, -limit), limit) for u, limit in zip(command, limits, strict=True)]
         if self.physics.true.thruster_on_off:
-            command[:2] = self._quantise(name, command, table.force_limit)
+            command[:2] = self._quantise_force(name, command, table.force_limit)
         fx, fy, tau = (float(u * gain[k, 0 if u >= 0 else 1]) for k, u in enumerate(command))
         # The lever of the force about the true centre of mass.
         tau -= body.offset[0] * fy - body.offset[1] * fx
@@ -180,7 +195,7 @@ class FreeFlyerModel:
         c, s = math.cos(middle), math.sin(middle)
         body.ax, body.ay = (c * fx - s * fy) / body.mass, (s * fx + c * fy) / body.mass
 
-    def _quantise(self, name: str, command: list[float], limit: float) -> list[float]:
+    def _quantise_force(self, name: str, command: list[float], limit: float) -> list[float]:
         """Return forces that are off or full, and whose sum follows the command's to half a pulse."""
         owed, pulses = self._owed[name], []
         for k in range(2):
@@ -190,7 +205,7 @@ class FreeFlyerModel:
             pulses.append(pulse * limit)
         return pulses
 
-    def _advance(self, period: float) -> list[Impact]:
+    def _advance_period(self, period: float) -> list[Impact]:
         """Move all bodies through one control period, event by event."""
         impacts: list[Impact] = []
         solver: ContactSolver | None = None
@@ -198,30 +213,34 @@ class FreeFlyerModel:
         t = held_for = 0.0
         for _ in range(EVENTS):
             left = period - t
-            near = self._near_pairs(left)
-            pressed, idle = self._resting(near)
+            near = self._find_near_pairs(left)
+            pressed, idle = self._find_resting(near)
             if pressed:
                 # No last step of mere rounding: pymunk divides by it.
                 left = CONTACT_STEP if left > CONTACT_STEP + SIMULTANEOUS else left
                 # pymunk starts from the last step's impulses, and scales them wrongly when the steps differ.
                 if solver is None or left != held_for:
                     solver, held_for = ContactSolver(self._bodies, float(self.physics.contact[FRICTION])), left
-                solver.hold(pressed, left)
-                near = self._near_pairs(left)
-            first, hits = self._first_impact(near, pressed | idle, left)
+                solver.add_contact_forces(pressed, left)
+                near = self._find_near_pairs(left)
+            first, hits = self._find_first_impact(near, pressed | idle, left)
             h = min(first, left)
+            if pressed:
+                assert solver is not None
+                for pair, impulse in solver.impulses.items():
+                    self._add_held(pair, h / left * np.array(impulse))
             for body in self._movable:
                 body.fly(h)
             t = period if h == period - t else t + h
             if hits:
-                impacts += self._collide(hits, near, self.time + t)
+                impacts += self._resolve_impacts(hits, near, self.time + t)
             for body, acceleration in zip(self._movable, held, strict=True):
                 body.ax, body.ay, body.alpha = acceleration
             if t >= period:
                 return impacts
         raise TooManyEvents(EVENTS)
 
-    def _near_pairs(self, h: float) -> list[Pair]:
+    def _find_near_pairs(self, h: float) -> list[Pair]:
         """Return the pairs that could touch within h (circles round the bodies, grown by their motion)."""
         bodies = self._bodies
         rooms = [
@@ -243,31 +262,31 @@ class FreeFlyerModel:
                     near.append((i, j))
         return near
 
-    def _first_impact(self, near: list[Pair], resting: set[Pair], end: float) -> tuple[float, list[Pair]]:
+    def _find_first_impact(self, near: list[Pair], resting: set[Pair], end: float) -> tuple[float, list[Pair]]:
         """Return when the first impact happens, infinity if not within end, and which pairs take part."""
         first, times = math.inf, {}
         for pair in near:
             end = min(end, first + SIMULTANEOUS)
-            times[pair] = find_time_of_impact(*self._both(pair), pair in resting, end)
+            times[pair] = find_time_of_impact(*self._get_bodies(pair), pair in resting, end)
             first = min(first, times[pair])
         end = min(end, first + SIMULTANEOUS)
         return first, [pair for pair, time in times.items() if time <= end]
 
-    def _both(self, pair: Pair) -> tuple[Body, Body]:
+    def _get_bodies(self, pair: Pair) -> tuple[Body, Body]:
         return self._bodies[pair[0]], self._bodies[pair[1]]
 
-    def _resting(self, near: list[Pair]) -> tuple[set[Pair], set[Pair]]:
+    def _find_resting(self, near: list[Pair]) -> tuple[set[Pair], set[Pair]]:
         """Return the pairs that rest on each other under pressure, and those that do so without.
 
         Where any is pressed, every pair that touches may become so, and counts as pressed.
         """
         touching, pressed = {}, False
         for pair in near:
-            a, b = self._both(pair)
+            a, b = self._get_bodies(pair)
             contact = find_contact(a, b)
             if contact.gap <= REST_GAP:
                 approach = compute_approach(a, b, contact)
-                if -PART_SPEED <= approach <= REST_SPEED:
+                if -PART_SPEED <= approach <= REST_SHARE * self._rest_speed:
                     touching[pair] = press = compute_press(a, b, contact)
                     # Parting bodies are pressed if the pressure turns them round within a contact step.
                     pressed = pressed or press > max(REST_PRESS, -approach / CONTACT_STEP)
@@ -275,40 +294,60 @@ class FreeFlyerModel:
             return set(touching), set()
         return set(), {pair for pair, press in touching.items() if press <= REST_PRESS}
 
-    def _collide(self, hits: list[Pair], near: list[Pair], time: float) -> list[Impact]:
+    def _resolve_impacts(self, hits: list[Pair], near: list[Pair], time: float) -> list[Impact]:
         """Change velocities by the impacts of one instant and return them.
 
         If all of them are starts of lasting contacts, everything that touches comes to rest together instead.
         """
-        contacts = {pair: find_contact(*self._both(pair)) for pair in hits}
-        genuine = {pair: contact for pair, contact in contacts.items() if self._rebounds(pair, contact)}
+        contacts = {pair: find_contact(*self._get_bodies(pair)) for pair in hits}
+        genuine = {pair: contact for pair, contact in contacts.items() if self._does_rebound(pair, contact, near)}
         if not genuine:
-            self._settle(contacts | {pair: find_contact(*self._both(pair)) for pair in near})
+            self._start_lasting_contacts(
+                contacts | {pair: find_contact(*self._get_bodies(pair)) for pair in near}, near
+            )
             return []
-        speeds = {pair: compute_approach(*self._both(pair), contact) for pair, contact in genuine.items()}
+        speeds = {pair: compute_approach(*self._get_bodies(pair), contact) for pair, contact in genuine.items()}
         law = self.physics.contact.tolist()
         e, e_speed = law[RESTITUTION], law[RESTITUTION_SPEED]
         restitution = {pair: compute_restitution(speeds[pair], e, e_speed) for pair in genuine}
         impulses = self._apply_impulses(genuine, restitution)
-        return [self._report(pair, genuine[pair], impulses[pair], speeds[pair], time) for pair in genuine]
+        return [self._make_impact(pair, genuine[pair], impulses[pair], speeds[pair], time) for pair in genuine]
 
-    def _rebounds(self, pair: Pair, contact: Contact) -> bool:
-        """Return whether an impact is more than the start of a lasting contact."""
-        a, b = self._both(pair)
-        speed, press = compute_approach(a, b, contact), compute_press(a, b, contact)
-        return is_rebound(speed, press, LOW_SPEED, CONTACT_STEP)
+    def _does_rebound(self, pair: Pair, contact: Contact, near: list[Pair]) -> bool:
+        """Return whether an impact, one of the near pairs, is more than the start of a lasting contact."""
+        a, b = self._get_bodies(pair)
+        measure = compute_force_press if a.lever > 0 or b.lever > 0 else compute_press
+        speed, press = compute_approach(a, b, contact), measure(a, b, contact)
+        low_speed = self._rest_speed
+        if REST_SHARE * low_speed < speed <= low_speed and not self._is_any_pressed(near):
+            low_speed *= REST_SHARE
+        return is_rebound(speed, press, low_speed, CONTACT_STEP)
 
-    def _settle(self, contacts: Mapping[Pair, Contact]) -> None:
+    def _is_any_pressed(self, near: list[Pair]) -> bool:
+        """Return whether anything presses any of the pairs together that touch: if so it may press them all."""
+        for pair in near:
+            a, b = self._get_bodies(pair)
+            contact = find_contact(a, b)
+            touching = contact.gap <= REST_GAP and compute_approach(a, b, contact) >= -PART_SPEED
+            if touching and compute_press(a, b, contact) > REST_PRESS:
+                return True
+        return False
+
+    def _start_lasting_contacts(self, contacts: Mapping[Pair, Contact], near: list[Pair]) -> None:
         """Bring everything that touches to rest on each other, without restitution."""
         touching = {
             pair: contact
             for pair, contact in contacts.items()
-            if contact.gap <= REST_GAP and not self._rebounds(pair, contact)
+            if contact.gap <= REST_GAP and not self._does_rebound(pair, contact, near)
         }
-        self._apply_impulses(touching, dict.fromkeys(touching, 0.0))
+        for pair, impulse in self._apply_impulses(touching, dict.fromkeys(touching, 0.0)).items():
+            self._add_held(pair, impulse)
         for pair, contact in touching.items():
             if contact.gap < -GRAZE:
-                part(*self._both(pair), contact)
+                remove_overlap(*self._get_bodies(pair), contact)
+
+    def _add_held(self, pair: Pair, impulse: np.ndarray) -> None:
+        self._held[pair] = self._held.get(pair, np.zeros(2)) + impulse
 
     def _apply_impulses(
         self, contacts: Mapping[Pair, Contact], restitution: Mapping[Pair, float]
@@ -335,8 +374,8 @@ class FreeFlyerModel:
             sums[pair] += along * nx - across * ny, along * ny + across * nx
         return sums
 
-    def _report(self, pair: Pair, contact: Contact, impulse: np.ndarray, speed: float, time: float) -> Impact:
-        a, b = self._both(pair)
+    def _make_impact(self, pair: Pair, contact: Contact, impulse: np.ndarray, speed: float, time: float) -> Impact:
+        a, b = self._get_bodies(pair)
         nx, ny = contact.normal
         if b.fixed:  # the fixed one is named first
             a, b, nx, ny, impulse = b, a, -nx, -ny, -impulse

@@ -15,15 +15,14 @@ from impact_envs.physics.time_of_impact import find_crossing, find_disc_impact, 
 EVENTS = 20_000
 # Lasting contacts hold their forces for this long [s].
 CONTACT_STEP = 0.01
-# An impact that is slower than this [m/s], or whose rebound would end within a contact step, is the start of a lasting
-# contact (see `is_rebound`).
-LOW_SPEED = 1e-4
-# Bodies this near [m] rest on each other if they close in no faster than this [m/s], and part no faster than
-# pymunk, whose shapes are this much larger than they are [m], sees over a contact step. Smaller accelerations
-# are rounding [m/s^2].
-REST_GAP, REST_SPEED, SKIN = 1e-5, 1e-7, 1e-4
+# Bodies this near [m] rest on each other if they close in no faster than this share of the scenario's rest speed, and
+# part no faster than pymunk, whose shapes are this much larger than they are [m], sees over a contact step. Smaller
+# accelerations are rounding [m/s^2].
+REST_GAP, REST_SHARE, SKIN = 1e-5, 1e-3, 1e-4
 PART_SPEED = SKIN / CONTACT_STEP
 REST_PRESS = 1e-9
+# A contact step says what presses bodies only where they turn by no more than this in it [rad].
+MOST_TURN = 0.1
 # Impacts this close in time are solved together, so that symmetric squeezes stay symmetric [s].
 SIMULTANEOUS = 1e-12
 # Polygons may graze each other unseen over this much motion, and touch when they overlap by this much; all
@@ -46,7 +45,8 @@ def compute_approach(a: Body, b: Body, contact: Contact) -> float:
 def compute_press(a: Body, b: Body, contact: Contact) -> float:
     """Return the acceleration at which the gap closes in free flight over a contact step.
 
-    It holds all there is: forces, centrifugal and Coriolis terms, a change of the touching corner.
+    It holds all there is: forces, centrifugal and Coriolis terms, a change of the touching corner. Bodies that turn
+    far within a step only bring their next corner, so of those it is what the forces alone do.
 
     Args:
         a, b: the bodies.
@@ -56,8 +56,27 @@ def compute_press(a: Body, b: Body, contact: Contact) -> float:
         Acceleration, positive when they are pressed together [m/s^2].
     """
     h = CONTACT_STEP
+    if max(a.lever * abs(a.omega), b.lever * abs(b.omega)) > 0 and h * (abs(a.omega) + abs(b.omega)) > MOST_TURN:
+        return compute_force_press(a, b, contact)
     gap = compute_contact(a.shape(h), b.shape(h)).gap
     return 2 * (contact.gap - compute_approach(a, b, contact) * h - gap) / h**2
+
+
+def compute_force_press(a: Body, b: Body, contact: Contact) -> float:
+    """Return the acceleration with which forces and torques alone press two bodies together.
+
+    An impact changes the other terms of ``compute_press``: they do not tell when a rebound would end.
+
+    Args:
+        a, b: the bodies.
+        contact: of theirs, now.
+
+    Returns:
+        Acceleration, positive when they are pressed together [m/s^2].
+    """
+    nx, ny = contact.normal
+    pairs = [(a.thrust_at(point), b.thrust_at(point)) for point in contact.points]
+    return max(nx * (of_a[0] - of_b[0]) + ny * (of_a[1] - of_b[1]) for of_a, of_b in pairs)
 
 
 def find_time_of_impact(a: Body, b: Body, resting: bool, end: float) -> float:
@@ -86,7 +105,7 @@ def find_time_of_impact(a: Body, b: Body, resting: bool, end: float) -> float:
     return find_disc_impact(*relative, a.radius + b.radius, slack, end)
 
 
-def part(a: Body, b: Body, contact: Contact) -> None:
+def remove_overlap(a: Body, b: Body, contact: Contact) -> None:
     """Take back an overlap, sharing the way so that the centre of mass of both stays."""
     share = 1.0 if b.fixed else b.mass / (a.mass + b.mass)
     for body, way in ((a, contact.gap * share), (b, -contact.gap * (1 - share))):

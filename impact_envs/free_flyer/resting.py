@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled, inlined
-from impact_envs.free_flyer.impulse import find_speed, read_contact, relax, write_contact
-from impact_envs.free_flyer.pair import CONTACT_STEP, PART_SPEED, REST_GAP, REST_PRESS, REST_SPEED
+from impact_envs.free_flyer.impulse import find_speed, read_contact, solve_impulses, write_contact
+from impact_envs.free_flyer.pair import CONTACT_STEP, PART_SPEED, REST_GAP, REST_PRESS, REST_SHARE
 from impact_envs.free_flyer.schema import FRICTION, OFFSET_X
 from impact_envs.free_flyer.touch import find_approach, find_gap, find_press, is_offset
 from impact_envs.free_flyer.worlds import (
@@ -35,7 +35,7 @@ def find_resting(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int,
     Where any is pressed, every pair that touches may become so, and counts as pressed.
     """
     n = arena.discs.shape[0]
-    pressed, turning = False, False
+    pressed, turning, rest_speed = False, False, REST_SHARE * arena.rest_speed
     for entry in range(count):
         pair = scratch.marks[c, entry, NEAR]
         i, j = arena.pairs[pair, 0], arena.pairs[pair, 1]
@@ -43,13 +43,13 @@ def find_resting(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int,
         if gap > REST_GAP:
             continue
         approach = find_approach(arena, worlds, k, i, j, nx, ny, px, py)
-        if -PART_SPEED <= approach <= REST_SPEED:
+        if -PART_SPEED <= approach <= rest_speed:
             press = find_press(arena, worlds, scratch, c, k, i, j, gap, approach)
             # Parting bodies are pressed if the pressure turns them round within a contact step.
             pressed = pressed or press > max(REST_PRESS, -approach / CONTACT_STEP)
             scratch.marks[c, pair, REST] = 2 if press <= REST_PRESS else 1
             # Forces on bodies that part a little, or not from a wall, change within the step.
-            turning = turning or approach < -REST_SPEED or j < n or arena.faces[arena.first_face[j - n], 4] < math.inf
+            turning = turning or approach < -rest_speed or j < n or arena.faces[arena.first_face[j - n], 4] < math.inf
             turning = turning or (worlds.body.shape[2] > OFFSET_X and is_offset(worlds, k, i))
     if not pressed:
         for entry in range(count):
@@ -63,8 +63,8 @@ def find_resting(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int,
 
 
 @compiled
-def hold(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: int, h: float) -> None:
-    """Add to the accelerations what keeps the pairs pressed on each other from closing in over a time h.
+def add_contact_forces(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: int, h: float) -> int:
+    """Add to the accelerations what keeps the pairs pressed on each other from closing in over h; return how many.
 
     Normals are taken where velocities alone lead, as pymunk does: with those of the start, bodies that slide round
     each other would drift apart and bounce.
@@ -86,11 +86,12 @@ def hold(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, count: 
             contacts[c, rows, SLIP] += h * find_speed(worlds, scratch, c, k, n, ACCELERATION, i, j, -ny, nx, px, py)
             contacts[c, rows, PARTING_GOAL] = contacts[c, rows, SLIP_GOAL] = 0.0
             rows += 1
-    relax(worlds, scratch, c, k, n, CHANGE, rows, 0.0, worlds.contact[k, FRICTION])
+    solve_impulses(worlds, scratch, c, k, n, CHANGE, rows, 0.0, worlds.contact[k, FRICTION])
     for i in range(n):
         for axis in range(3):
             state[k, i, axis if axis < 2 else 4] = motion[c, i, COMPRESSION + axis]
             motion[c, i, ACCELERATION + axis] += motion[c, i, CHANGE + axis] / h
+    return rows
 
 
 @inlined

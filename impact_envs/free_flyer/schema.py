@@ -34,6 +34,11 @@ Restitution = Annotated[float, Field(ge=0, le=1)]
 # What directions and the choice of one of several things are drawn from.
 ANGLE, SHARE = Uniform(uniform=(0.0, 2 * math.pi)), Uniform(uniform=(0.0, 1.0))
 
+# Bodies may overlap by this share of their radii at the start: decimal numbers that make them touch are rounded.
+TOUCHING = 1e-9
+# The slowest speed limit over this, and at most this [m/s], is the default of World.rest_speed.
+REST_FRACTION, MOST_REST_SPEED = 2000.0, 1e-4
+
 # Columns of Physics.contact: coefficient of restitution at zero speed; v_e of e(v) = e exp(-v / v_e) [m/s], 0 for
 # constant e; Coulomb coefficient.
 RESTITUTION, RESTITUTION_SPEED, FRICTION, CONTACT_COLUMNS = range(4)
@@ -42,6 +47,15 @@ RESTITUTION, RESTITUTION_SPEED, FRICTION, CONTACT_COLUMNS = range(4)
 MASS, INERTIA, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y, BODY_COLUMNS = range(7)
 # Columns of Physics.thruster: true over commanded force, positive and negative per channel Fx, Fy, torque.
 GAIN, THRUSTER_COLUMNS = 0, 6
+
+
+class World(Box):
+    """The box that bodies cannot leave, and what counts as rest in it."""
+
+    # Bodies that meet more slowly than this come to rest on each other instead of rebounding, where anything presses
+    # touching bodies together; where nothing does, at a thousandth of it. Unset: the slowest speed limit / 2000, at
+    # most 1e-4 [m/s].
+    rest_speed: Positive | None = None
 
 
 class Obstacle(Region):
@@ -70,10 +84,16 @@ class Robot(Body):
     force_limit: Positive  # per body axis [N]
     torque_limit: Positive  # [N m]
 
+    @property
+    def start_rate(self) -> float:
+        """Return the angular velocity at the start: robots do not turn [rad/s]."""
+        return 0.0
+
 
 class Object(Body):
     """A passive body, moved only by impacts."""
 
+    start_rate: Finite = 0.0  # angular velocity at the start [rad/s]
     vertices: tuple[Vector, ...] | None = None  # convex polygon in the body frame [m]; a disc without
     rest: bool = True  # must it be at rest at the horizon
     keep_force: NonNegative = 0.0  # of its own thrusters, by which it keeps its velocity between impacts; 0: none [N]
@@ -200,7 +220,7 @@ class FreeFlyerScenario(Scenario):
 
     domain: Literal["free_flyer"]
     engine: Engine | None = None  # what computes the motion; unset: exact for discs, pymunk for polygons
-    world: Box
+    world: World
     robots: dict[str, Robot]
     objects: dict[str, Object]
     obstacles: dict[str, Obstacle] = {}
@@ -231,7 +251,14 @@ class FreeFlyerScenario(Scenario):
     def starts(self) -> np.ndarray:
         """Return the states of all bodies at the start, as models return them, shape (bodies, 6)."""
         tables = [self.body(name) for name in self.bodies]
-        return np.array([(*table.start, *table.start_velocity, table.heading, 0.0) for table in tables])
+        return np.array([(*body.start, *body.start_velocity, body.heading, body.start_rate) for body in tables])
+
+    @property
+    def rest_speed(self) -> float:
+        """Return the speed below which an impact of pressed bodies is the start of a lasting contact [m/s]."""
+        if self.world.rest_speed is not None:
+            return self.world.rest_speed
+        return min(MOST_REST_SPEED, *(self.body(name).speed_limit / REST_FRACTION for name in self.bodies))
 
     @property
     def starts_moving(self) -> bool:
@@ -327,7 +354,7 @@ class FreeFlyerScenario(Scenario):
         for i, first in enumerate(names):
             for second in names[i + 1 :]:
                 a, b = self.body(first), self.body(second)
-                if math.dist(a.start, b.start) < a.radius + b.radius:
+                if math.dist(a.start, b.start) < (a.radius + b.radius) * (1 - TOUCHING):
                     raise ValueError(f"{first} and {second} overlap at the start")
         return self
 
@@ -340,10 +367,10 @@ class FreeFlyerScenario(Scenario):
             if place is None:
                 continue
             x, y = place
-            r = body.radius
+            r = body.radius * (1 - TOUCHING)
             if not (x0 + r <= x <= x1 - r and y0 + r <= y <= y1 - r):
                 raise ValueError(
-                    f"{table}.{name}.{key} = {list(place)} with radius {r:g} is not inside the world "
+                    f"{table}.{name}.{key} = {list(place)} with radius {body.radius:g} is not inside the world "
                     f"{list(self.world.lower)} to {list(self.world.upper)}"
                 )
             for area, obstacle in self.obstacles.items():

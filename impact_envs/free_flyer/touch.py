@@ -16,7 +16,7 @@ from impact_envs.physics.time_of_impact import NEWTON_STEPS, TOUCHING, find_disc
 
 
 @compiled
-def fly_to(worlds: Worlds, scratch: Scratch, c: int, k: int, i: int, t: float) -> tuple[float, float]:
+def find_centre(worlds: Worlds, scratch: Scratch, c: int, k: int, i: int, t: float) -> tuple[float, float]:
     """Return the geometric centre of body i after a flight of t [m]."""
     state, motion = worlds.state, scratch.motion
     x = state[k, i, 0] + (state[k, i, 2] + 0.5 * motion[c, i, ACCELERATION + 0] * t) * t
@@ -36,20 +36,20 @@ def find_gap(
 ) -> tuple[float, float, float, float, float]:
     """Return gap, normal and point of contact of a pair after a flight of t."""
     n = arena.discs.shape[0]
-    x, y = fly_to(worlds, scratch, c, k, i, t)
+    x, y = find_centre(worlds, scratch, c, k, i, t)
     radius = arena.discs[i, RADIUS]
     if j < n:
-        bx, by = fly_to(worlds, scratch, c, k, j, t)
+        bx, by = find_centre(worlds, scratch, c, k, j, t)
         dx, dy = bx - x, by - y
         distance = math.sqrt(dx * dx + dy * dy)
         nx, ny = dx / distance, dy / distance
         return distance - radius - arena.discs[j, RADIUS], nx, ny, x + radius * nx, y + radius * ny
-    distance, nx, ny = find_outside(arena, j - n, x, y)
+    distance, nx, ny = find_distance(arena, j - n, x, y)
     return distance - radius, -nx, -ny, x - distance * nx, y - distance * ny
 
 
 @compiled
-def find_outside(arena: Arena, fixed: int, x: float, y: float) -> tuple[float, float, float]:
+def find_distance(arena: Arena, fixed: int, x: float, y: float) -> tuple[float, float, float]:
     """Return the distance of a point from a fixed polygon, negative inside, and the normal towards the point."""
     best, best_x, best_y = -math.inf, 0.0, 0.0
     nearest, nearest_x, nearest_y = math.inf, 0.0, 0.0
@@ -114,7 +114,7 @@ def find_touch(
     swings = worlds.body.shape[2] > OFFSET_X
     if j < n:
         if swings and (is_offset(worlds, k, i) or is_offset(worlds, k, j)):
-            return find_swing(worlds, scratch, c, k, i, j, x, y, vx, vy, ax, ay, 0.0, 0.0, radius, slack, end)
+            return find_offset_touch(worlds, scratch, c, k, i, j, x, y, vx, vy, ax, ay, 0.0, 0.0, radius, slack, end)
         return find_disc_impact(x, y, vx, vy, ax, ay, radius, slack, end)
     swings = swings and is_offset(worlds, k, i)
     first = math.inf
@@ -125,14 +125,16 @@ def find_touch(
             hit = find_face_impact(x, y, vx, vy, ax, ay, (px, py, nx, ny, length), radius, slack, end)
         else:
             rx, ry = x - px, y - py
-            hit = find_swing(worlds, scratch, c, k, i, i, rx, ry, vx, vy, ax, ay, nx, ny, radius, slack, end)
+            hit = find_offset_touch(worlds, scratch, c, k, i, i, rx, ry, vx, vy, ax, ay, nx, ny, radius, slack, end)
             if hit < math.inf and length < math.inf:
-                cx, cy = fly_to(worlds, scratch, c, k, i, hit)
+                cx, cy = find_centre(worlds, scratch, c, k, i, hit)
                 along = nx * (cy - py) - ny * (cx - px)
                 if along < 0 or along > length:
                     hit = math.inf
             if length < math.inf:
-                corner = find_swing(worlds, scratch, c, k, i, i, rx, ry, vx, vy, ax, ay, 0.0, 0.0, radius, slack, end)
+                corner = find_offset_touch(
+                    worlds, scratch, c, k, i, i, rx, ry, vx, vy, ax, ay, 0.0, 0.0, radius, slack, end
+                )
                 hit = min(hit, corner)
         first = min(first, hit)
     return first
@@ -145,7 +147,9 @@ def is_offset(worlds: Worlds, k: int, i: int) -> bool:
 
 
 @compiled
-def swing(worlds: Worlds, scratch: Scratch, c: int, k: int, i: int, t: float) -> tuple[float, float, float, float]:
+def find_centre_motion(
+    worlds: Worlds, scratch: Scratch, c: int, k: int, i: int, t: float
+) -> tuple[float, float, float, float]:
     """Return where the centre is, seen from the centre of mass, and its velocity, after a flight of t."""
     omega, alpha = worlds.state[k, i, 5], scratch.motion[c, i, ACCELERATION + 2]
     heading = worlds.state[k, i, 4] + (omega + 0.5 * alpha * t) * t
@@ -156,7 +160,7 @@ def swing(worlds: Worlds, scratch: Scratch, c: int, k: int, i: int, t: float) ->
 
 
 @compiled
-def find_swing(
+def find_offset_touch(
     worlds: Worlds,
     scratch: Scratch,
     c: int,
@@ -193,18 +197,18 @@ def find_swing(
     Returns:
         Time of the touch, infinity if there is none [s].
     """
-    bend_i, bend_j = find_bend(worlds, scratch, c, k, i, end), 0.0
+    bend_i, bend_j = bound_centre_acceleration(worlds, scratch, c, k, i, end), 0.0
     if j != i:
-        bend_j = find_bend(worlds, scratch, c, k, j, end)
+        bend_j = bound_centre_acceleration(worlds, scratch, c, k, j, end)
     most = math.sqrt(ax * ax + ay * ay) + bend_i + bend_j
     shift, t = slack, 0.0
     for step in range(NEWTON_STEPS):
         dx, dy = x + (vx + 0.5 * ax * t) * t, y + (vy + 0.5 * ay * t) * t
         ux, uy = vx + ax * t, vy + ay * t
-        rx, ry, wx, wy = swing(worlds, scratch, c, k, i, t)
+        rx, ry, wx, wy = find_centre_motion(worlds, scratch, c, k, i, t)
         dx, dy, ux, uy = dx + rx, dy + ry, ux + wx, uy + wy
         if j != i:
-            rx, ry, wx, wy = swing(worlds, scratch, c, k, j, t)
+            rx, ry, wx, wy = find_centre_motion(worlds, scratch, c, k, j, t)
             dx, dy, ux, uy = dx - rx, dy - ry, ux - wx, uy - wy
         if nx != 0 or ny != 0:
             f, slope, bend = nx * dx + ny * dy - radius, nx * ux + ny * uy, -most
@@ -231,7 +235,7 @@ def find_swing(
 
 
 @compiled
-def find_bend(worlds: Worlds, scratch: Scratch, c: int, k: int, i: int, end: float) -> float:
+def bound_centre_acceleration(worlds: Worlds, scratch: Scratch, c: int, k: int, i: int, end: float) -> float:
     """Return a bound on the acceleration of body i's centre about its centre of mass until end [m/s^2]."""
     alpha = abs(scratch.motion[c, i, ACCELERATION + 2])
     rate = abs(worlds.state[k, i, 5]) + alpha * end

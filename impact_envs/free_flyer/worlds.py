@@ -44,9 +44,9 @@ HELD, ACCELERATION, CHANGE, COMPRESSION, ROOM = range(0, 15, 3)
 # Columns of Scratch.marks: numbers of the pairs that could touch; per pair 0 apart, 1 pressed, 2 resting unpressed.
 NEAR, REST = range(2)
 # Columns of a contact: bodies, normal from i to j, point [m], gap [m], speed of separation and slip before [m/s],
-# speed of separation and slip that the impulses aim at [m/s], impulses along normal and tangent [N s]; and, per entry
-# of NEAR, the time of impact [s].
-I, J, NX, NY, PX, PY, GAP, PARTING, SLIP, PARTING_GOAL, SLIP_GOAL, ALONG, ACROSS, TIME = range(14)
+# speed of separation and slip that the impulses aim at [m/s], impulses along normal and tangent [N s], number of the
+# pair; and, per entry of NEAR, the time of impact [s].
+I, J, NX, NY, PX, PY, GAP, PARTING, SLIP, PARTING_GOAL, SLIP_GOAL, ALONG, ACROSS, PAIR, TIME, CONTACT_SIZE = range(16)
 
 ROW = 10  # numbers that describe an impact: time, a, b, point, normal, impulse on b, speed
 
@@ -56,6 +56,7 @@ class Arena(NamedTuple):
 
     Attributes:
         period: control period [s].
+        rest_speed: below it impacts of pressed bodies start lasting contacts [m/s].
         on_off: thrusters are off or full.
         robots: how many.
         discs: shape (n, 4), see the columns.
@@ -65,6 +66,7 @@ class Arena(NamedTuple):
     """
 
     period: float
+    rest_speed: float
     on_off: bool
     robots: int
     discs: np.ndarray
@@ -84,6 +86,8 @@ class Worlds(NamedTuple):
         thruster: as ``Physics.thruster`` and two more, shape (N, robots, 8), or no robots where all thrusters do as
             they are told.
         contact: as ``Physics.contact``, shape (N, 3).
+        held: impulse on the second body of each pair by lasting contacts in the last control period, shape
+            (N, pairs, 2), or no pairs where nobody reads it [N s].
         counter: control periods since reset, impacts in the last one, whether its events did not end, whether a state
             is no finite number any more, shape (N, 4).
     """
@@ -92,6 +96,7 @@ class Worlds(NamedTuple):
     body: np.ndarray
     thruster: np.ndarray
     contact: np.ndarray
+    held: np.ndarray
     counter: np.ndarray
 
 
@@ -101,7 +106,7 @@ class Scratch(NamedTuple):
     Attributes:
         motion: shape (threads, n, 13).
         marks: shape (threads, pairs, 2).
-        contacts: shape (threads, pairs, 14).
+        contacts: shape (threads, pairs, 15).
     """
 
     motion: np.ndarray
@@ -130,6 +135,7 @@ def make_arena(scenario: FreeFlyerScenario) -> tuple[Arena, tuple[str, ...]]:
     pairs = [*itertools.combinations(range(n), 2), *itertools.product(range(n), range(n, n + len(fixed)))]
     arena = Arena(
         period=float(scenario.control_period),
+        rest_speed=float(scenario.rest_speed),
         on_off=bool(scenario.true.thruster_on_off),
         robots=len(scenario.robots),
         discs=discs,
@@ -140,7 +146,9 @@ def make_arena(scenario: FreeFlyerScenario) -> tuple[Arena, tuple[str, ...]]:
     return arena, (*scenario.bodies, *(body.name for body in fixed))
 
 
-def make_worlds(arena: Arena, count: int, shifts: bool, gains: bool, dtype: type = np.float64) -> Worlds:
+def make_worlds(
+    arena: Arena, count: int, shifts: bool, gains: bool, dtype: type = np.float64, held: bool = False
+) -> Worlds:
     """Return worlds with all numbers zero.
 
     Args:
@@ -149,6 +157,7 @@ def make_worlds(arena: Arena, count: int, shifts: bool, gains: bool, dtype: type
         shifts: any centre of mass may be offset, or anything accelerate by itself.
         gains: any thruster may differ from its command.
         dtype: of all that is not counted.
+        held: impulses of lasting contacts are read.
     """
     n, keeps = len(arena.discs), bool(arena.discs[arena.robots :, LIMIT].any())
     return Worlds(
@@ -156,6 +165,7 @@ def make_worlds(arena: Arena, count: int, shifts: bool, gains: bool, dtype: type
         body=np.zeros((count, n, LINE_VY + 1 if keeps else BODY_COLUMNS if shifts else OFFSET_X), dtype),
         thruster=np.zeros((count, arena.robots if gains or arena.on_off else 0, OWED + 2), dtype),
         contact=np.zeros((count, CONTACT_COLUMNS), dtype),
+        held=np.zeros((count, len(arena.pairs) if held else 0, 2), dtype),
         counter=np.zeros((count, 4), np.int64),
     )
 
@@ -187,7 +197,7 @@ def make_scratch(arena: Arena, threads: int) -> Scratch:
     return Scratch(
         motion=np.zeros((threads, n, 13)),
         marks=np.zeros((threads, pairs, 2), np.int64),
-        contacts=np.zeros((threads, pairs, 14)),
+        contacts=np.zeros((threads, pairs, CONTACT_SIZE)),
     )
 
 

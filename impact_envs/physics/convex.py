@@ -56,15 +56,15 @@ def compute_contact(a: Disc | Polygon, b: Disc | Polygon) -> Contact:
     """
     if isinstance(a, Disc):
         if isinstance(b, Disc):
-            return _disc_disc(a, b)
-        return _flipped(_polygon_disc(b, a))
+            return _touch_discs(a, b)
+        return _flip(_touch_polygon_disc(b, a))
     if isinstance(b, Disc):
-        return _polygon_disc(a, b)
-    of_a, of_b = _best_face(a, b), _best_face(b, a)
+        return _touch_polygon_disc(a, b)
+    of_a, of_b = _find_best_face(a, b), _find_best_face(b, a)
     # The small preference keeps the choice the same when both faces are equally good.
     if of_a[0] >= of_b[0] - FLATNESS:
-        return _flat_contact(a, b, of_a)
-    return _flipped(_flat_contact(b, a, of_b))
+        return _make_flat_contact(a, b, of_a)
+    return _flip(_make_flat_contact(b, a, of_b))
 
 
 def compute_faces(vertices: tuple[Point, ...]) -> tuple[Face, ...]:
@@ -76,18 +76,18 @@ def compute_faces(vertices: tuple[Point, ...]) -> tuple[Face, ...]:
     return tuple(faces)
 
 
-def _flipped(contact: Contact) -> Contact:
+def _flip(contact: Contact) -> Contact:
     return Contact(contact.gap, (-contact.normal[0], -contact.normal[1]), contact.points)
 
 
-def _disc_disc(a: Disc, b: Disc) -> Contact:
+def _touch_discs(a: Disc, b: Disc) -> Contact:
     dx, dy = b.x - a.x, b.y - a.y
     distance = math.hypot(dx, dy)
     nx, ny = dx / distance, dy / distance
     return Contact(distance - a.radius - b.radius, (nx, ny), ((a.x + a.radius * nx, a.y + a.radius * ny),))
 
 
-def _polygon_disc(a: Polygon, b: Disc) -> Contact:
+def _touch_polygon_disc(a: Polygon, b: Disc) -> Contact:
     """Return the contact at the face or corner of a nearest to the disc's centre."""
     inside, outside = [], []
     for px, py, nx, ny, length in compute_faces(a.vertices):
@@ -107,7 +107,7 @@ def _polygon_disc(a: Polygon, b: Disc) -> Contact:
     return Contact(distance - b.radius, normal, (point,))
 
 
-def _best_face(a: Polygon, b: Polygon) -> tuple[float, Face]:
+def _find_best_face(a: Polygon, b: Polygon) -> tuple[float, Face]:
     """Return the largest gap seen along a face normal of a, and that face."""
     best = (-math.inf, (0.0, 0.0, 0.0, 0.0, 0.0))
     for face in compute_faces(a.vertices):
@@ -118,7 +118,7 @@ def _best_face(a: Polygon, b: Polygon) -> tuple[float, Face]:
     return best
 
 
-def _flat_contact(a: Polygon, b: Polygon, best: tuple[float, Face]) -> Contact:
+def _make_flat_contact(a: Polygon, b: Polygon, best: tuple[float, Face]) -> Contact:
     """Return the contact at a face of a: the nearest corner of b, or the common part of two faces."""
     gap, (px, py, nx, ny, length) = best
     near = [(x, y) for x, y in b.vertices if nx * (x - px) + ny * (y - py) <= gap + FLATNESS]

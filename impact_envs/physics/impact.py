@@ -46,6 +46,25 @@ class Impact:
     speed: float
 
 
+@dataclass(frozen=True)
+class LastingContact:
+    """What two bodies that rest on each other exchanged in one control period.
+
+    With the impulses of the impacts it balances the momentum of every body.
+
+    Attributes:
+        time: since reset, at the end of the control period [s].
+        a: name of the first body; of the wall or obstacle if one is fixed.
+        b: name of the second body.
+        impulse: acting on b, shape (2,) [N s].
+    """
+
+    time: float
+    a: str
+    b: str
+    impulse: Point
+
+
 class Side(NamedTuple):
     """One body at an impact.
 

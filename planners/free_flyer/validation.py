@@ -87,10 +87,9 @@ def compute_robustness(scenario: FreeFlyerScenario, times: np.ndarray, positions
     for name, points in positions.items():
         velocity = np.gradient(points, step, axis=0)
         columns = {"x": points[:, 0], "y": points[:, 1], "vx": velocity[:, 0], "vy": velocity[:, 1]}
-        columns |= {
-            "heading": np.full(len(times), scenario.body(name).heading),
-            "omega": np.zeros(len(times)),
-        }
+        # Robots hold their heading, and impacts without friction leave the spin of discs alone.
+        body = scenario.body(name)
+        columns |= {"heading": body.heading + body.start_rate * times, "omega": np.full(len(times), body.start_rate)}
         signals |= {f"{name}.{signal}": values for signal, values in columns.items()}
     trace = Trace(signals, step, scenario.areas, scenario.bodies)
     return float(robustness(scenario.specification, trace))

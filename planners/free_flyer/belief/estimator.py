@@ -117,7 +117,7 @@ def open_filters(plan: PlanTable, memory: WorldMemory, options: Options, k: int)
         )
         if options.drift and i >= plan.robots and body.keep_force == 0.0:
             z.P_aa = options.estimation.drift * options.estimation.drift
-        memory.heading[k, i].angle, memory.heading[k, i].rate = body.heading, 0.0
+        memory.heading[k, i].angle, memory.heading[k, i].rate = body.heading, body.start_rate
     sensor = memory.sensor[k]
     sensor.sigma, sensor.weight, sensor.square, sensor.samples = options.estimation.position_prior, 0.0, 0.0, 0
 

@@ -21,6 +21,7 @@ BODY = np.dtype(
         ("start", float, 2),  # [m]
         ("start_velocity", float, 2),  # [m/s]
         ("heading", float),  # at the start [rad]
+        ("start_rate", float),  # [rad/s]
         ("mass", float),  # [kg]
         ("radius", float),  # [m]
         ("speed_limit", float),  # per axis [m/s]
@@ -132,7 +133,8 @@ def _make_bodies(scenario: FreeFlyerScenario) -> np.ndarray:
     bodies = [scenario.body(name) for name in scenario.bodies]
     table = np.zeros(len(bodies), BODY)
     for row, body in zip(table, bodies, strict=True):
-        row["start"], row["start_velocity"], row["heading"] = body.start, body.start_velocity, body.heading
+        row["start"], row["start_velocity"] = body.start, body.start_velocity
+        row["heading"], row["start_rate"] = body.heading, body.start_rate
         row["mass"], row["radius"], row["speed_limit"] = body.mass, body.radius, body.speed_limit
         row["keep_force"] = getattr(body, "keep_force", 0.0)
     return table
