@@ -10,10 +10,14 @@ import pytest
 
 from impact_envs.errors import InputError
 from planners.errors import SolverFailed
-from planners.free_flyer.published.mpc import PublishedTracker, build_published_tracking, solve_published_tracking
 from planners.free_flyer.tracking.casadi_mpc import build_casadi_tracking, has_fatrop, solve_casadi_tracking
 from planners.free_flyer.tracking.mpc import Workspace, make_workspace, solve_tracking, view_task
 from planners.free_flyer.tracking.problem import NO_JUMP, STAGES, build_tracking_problem
+from planners.free_flyer.tracking.published_mpc import (
+    PublishedTracker,
+    build_published_tracking,
+    solve_published_tracking,
+)
 
 PERIOD = 0.1
 NORMAL, GAIN, OBJECT_SPEED, SPEED = np.array([0.6, 0.8]), 0.9, -0.05, 0.1
