@@ -11,14 +11,14 @@ import torch
 from pydantic import Field
 from torch import nn
 
-from agents.checkpoint import JsonRecord, check_tensors, read_record, read_tensors, write_record, write_tensors
+from agents.checkpoint import WeightsRecord, check_tensors, read_record, read_tensors, write_checkpoint
 from impact_envs.errors import InputError
 
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
 Size = Annotated[int, Field(ge=1, le=4096)]
 
 
-class PolicyRecord(JsonRecord):
+class PolicyRecord(WeightsRecord):
     """The content of policy.json: the network's architecture and origin.
 
     Attributes:
@@ -132,8 +132,7 @@ def save_policy(directory: str | Path, actor: Actor, record: PolicyRecord) -> No
     Raises:
         InputError: the directory cannot be written.
     """
-    write_tensors(Path(directory) / WEIGHTS, _arrays(actor))
-    write_record(Path(directory) / DESCRIPTION, record)
+    write_checkpoint((Path(directory) / WEIGHTS, _arrays(actor)), (Path(directory) / DESCRIPTION, record))
 
 
 def load_policy(directory: str | Path) -> tuple[Actor, PolicyRecord]:
@@ -156,7 +155,7 @@ def load_policy(directory: str | Path) -> tuple[Actor, PolicyRecord]:
             raise InputError(f"checkpoint '{path}' has no {name}; it must hold {WEIGHTS} and {DESCRIPTION}")
     record = read_record(path / DESCRIPTION, PolicyRecord)
     actor = Actor(record.feature_size, record.correction_size, record.hidden, record.squash, record.feature_clip)
-    tensors = read_tensors(path / WEIGHTS)
+    tensors = read_tensors(path / WEIGHTS, record)
     check_tensors(path / WEIGHTS, tensors, _arrays(actor))
     if not np.all(tensors["std"] > 0):
         raise InputError(f"{path / WEIGHTS}: tensor 'std' holds a value that is not positive")

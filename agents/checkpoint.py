@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import os
+import hashlib
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save
+from safetensors.numpy import load, save
 
 from impact_envs.errors import InputError, choices
+from impact_envs.file import replace_file
 
 
 class JsonRecord(BaseModel):
@@ -22,40 +22,18 @@ class JsonRecord(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
+class WeightsRecord(JsonRecord):
+    """The record of a safetensors file beside it.
+
+    Attributes:
+        weights_digest: SHA-256 of the safetensors file; None: made by an earlier version, damage goes unnoticed as long
+            as the file can be read.
+    """
+
+    weights_digest: str | None = None
+
+
 R = TypeVar("R", bound=JsonRecord)
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that a reader sees the old content or the new content, never a part.
-
-    Args:
-        path: file to write; its folder is made if missing.
-        data: the whole content.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            temporary.unlink()
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
-
-
-def write_record(path: Path, record: JsonRecord) -> None:
-    """Write a record as JSON, all or nothing.
-
-    Args:
-        path: file to write.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    write_atomically(path, (record.model_dump_json(indent=1) + "\n").encode())
 
 
 def read_record(path: Path, schema: type[R]) -> R:
@@ -81,34 +59,44 @@ def read_record(path: Path, schema: type[R]) -> R:
         raise InputError(f"{path}: {where}{first['msg'].removeprefix('Value error, ')}") from None
 
 
-def write_tensors(path: Path, tensors: Mapping[str, np.ndarray]) -> None:
-    """Write named arrays as safetensors, all or nothing.
+def write_checkpoint(tensors: tuple[Path, Mapping[str, np.ndarray]], record: tuple[Path, WeightsRecord]) -> None:
+    """Write named arrays as safetensors, and their record with the arrays' digest as JSON; both all or nothing.
 
     Args:
-        path: file to write.
-        tensors: arrays by name.
+        tensors: file, and arrays by name.
+        record: file, and its content.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: a file cannot be written.
     """
-    write_atomically(path, save({name: np.array(array, order="C") for name, array in tensors.items()}))
+    (weights, arrays), (description, content) = tensors, record
+    data = save({name: np.array(array, order="C") for name, array in arrays.items()})
+    content = content.model_copy(update={"weights_digest": _digest(data)})
+    # Both are written before either gets its name, so that they do not part when the disk is full.
+    with replace_file(weights) as new_weights, replace_file(description) as new_description:
+        new_weights.write_bytes(data)
+        new_description.write_text(content.model_dump_json(indent=1) + "\n", encoding="utf-8")
 
 
-def read_tensors(path: Path) -> dict[str, np.ndarray]:
+def read_tensors(path: Path, record: WeightsRecord) -> dict[str, np.ndarray]:
     """Read named arrays from a safetensors file.
 
     Args:
         path: file to read.
+        record: with the file's digest.
 
     Raises:
         InputError: the file is missing, damaged, or holds a value that is not finite.
     """
     try:
-        tensors = load_file(path)
+        data = path.read_bytes()
+        tensors = load(data)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except SafetensorError as error:
         raise InputError(f"{path}: not a safetensors file: {error}") from None
+    if record.weights_digest not in (None, _digest(data)):
+        raise InputError(f"{path}: is damaged, or of another checkpoint: weights_digest of its JSON file differs")
     for name, array in tensors.items():
         if not np.all(np.isfinite(array)):
             raise InputError(f"{path}: tensor '{name}' holds a value that is not finite")
@@ -134,3 +122,7 @@ def check_tensors(path: Path, tensors: Mapping[str, np.ndarray], expected: Mappi
         if given.shape != array.shape or given.dtype != array.dtype:
             found, wanted = (f"{x.dtype} {list(x.shape)}" for x in (given, array))
             raise InputError(f"{path}: tensor '{name}' is {found}, expected {wanted}")
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

@@ -68,10 +68,12 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     the episode's seed is drawn below 1,000,000 from the environment's generator, which the last given seed
     initialised.
 
-    Episode end: never ``terminated``; ``truncated`` at the scenario's horizon, or where ``max_cycles`` cuts earlier.
+    Episode end: ``truncated`` at the scenario's horizon, or where ``max_cycles`` cuts earlier; ``terminated`` where the
+    simulation fails (see ImpactEnv).
 
     ``info`` carries ``seed`` and ``control_steps`` (in this step); at the end also ``robustness``, ``success`` and
-    ``decided``: the horizon is reached, the formula has its final value, and a learner has nothing to bootstrap.
+    ``decided``: the horizon is reached or the simulation failed (then with ``failure``, a text), and a learner has
+    nothing to bootstrap.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario.
@@ -145,7 +147,8 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self._run_to_request()
         reward, self._reward = self._reward, 0.0
         info = self._infos | {"control_steps": self._steps}
-        return self.expert.features().copy(), reward, False, not self.parallel.agents, info
+        over, failed = not self.parallel.agents, self.parallel.failure is not None
+        return self.expert.features().copy(), reward, failed, over and not failed, info
 
     def render(self) -> np.ndarray | None:
         """Draw the present control step; see ImpactEnv.render."""
@@ -161,13 +164,15 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             observations, rewards, _, _, infos = self.parallel.step(self.expert.control())
             self._reward += float(sum(rewards.values()))
             self._steps += 1
-            decided = self.parallel.steps >= self.parallel.scenario.steps
+            failed = self.parallel.failure is not None
+            decided = failed or self.parallel.steps >= self.parallel.scenario.steps
             if not decided:
                 # Also where max_cycles cuts: a learner bootstraps there from the features.
                 self.expert.observe(observations)
             if not self.parallel.agents:
                 final = next(iter(infos.values()))
-                self._infos |= {key: final[key] for key in ("robustness", "success")} | {"decided": decided}
+                self._infos |= {key: final[key] for key in ("robustness", "success", "failure") if key in final}
+                self._infos["decided"] = decided
                 return
             if self.expert.awaiting_correction:
                 return

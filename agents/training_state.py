@@ -12,7 +12,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.checkpoint import JsonRecord, check_tensors, read_record, read_tensors, write_record, write_tensors
+from agents.checkpoint import WeightsRecord, check_tensors, read_record, read_tensors, write_checkpoint
 from agents.sb3 import find_name, get_statistics
 from impact_envs.errors import InputError
 
@@ -20,7 +20,7 @@ STATE, DESCRIPTION = "training.safetensors", "training.json"
 REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
-class TrainingRecord(JsonRecord):
+class TrainingRecord(WeightsRecord):
     """The content of training.json: all that a run needs to continue and that is no tensor.
 
     Attributes:
@@ -79,8 +79,7 @@ def save_training(
         run=run,
         evaluations=evaluations,
     )
-    write_tensors(Path(directory) / STATE, _tensors(model, normalize))
-    write_record(Path(directory) / DESCRIPTION, record)
+    write_checkpoint((Path(directory) / STATE, _tensors(model, normalize)), (Path(directory) / DESCRIPTION, record))
 
 
 def read_training(directory: str | Path) -> TrainingRecord:
@@ -115,7 +114,7 @@ def load_training(directory: str | Path, model: BaseAlgorithm, normalize: VecNor
         raise InputError(
             f"{path.with_name(DESCRIPTION)}: key 'algorithm': is '{record.algorithm}', expected '{find_name(model)}'"
         )
-    tensors = read_tensors(path)
+    tensors = read_tensors(path, record)
     _restore_features(path, normalize, tensors, record)
     buffer = _get_replay(model)
     if buffer is not None:

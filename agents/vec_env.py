@@ -116,7 +116,8 @@ class ImpactVecEnv(VecEnv):
         if self._actions is None:
             raise InputError("step_wait before step_async: call step_async or step first")
         actions, self._actions = self._actions, None
-        observations, rewards, _, over, worlds = self.worlds.step(actions)
+        observations, rewards, failed, cut, worlds = self.worlds.step(actions)
+        over = failed | cut
         rewards = self._view(rewards, "agent_rewards")
         self._returns += rewards
         self._lengths += 1
@@ -204,11 +205,12 @@ class ImpactVecEnv(VecEnv):
         last = worlds["final_agent_obs" if self.per_robot else "final_obs"].reshape(self.num_envs, -1)
         seconds = round(time.time() - self._start, 6)
         returns, lengths = self._returns.tolist(), self._lengths.tolist()
+        failed = np.repeat(worlds.get("_failure", np.zeros(self.worlds.num_envs, bool)), self.envs_per_world)
         for k in ended.tolist():
             success = bool(worlds["success"][k // self.envs_per_world])
             infos[k] = {
                 "terminal_observation": last[k],
-                "TimeLimit.truncated": True,
+                "TimeLimit.truncated": not failed[k],
                 "episode": {"r": round(returns[k], 6), "l": lengths[k], "t": seconds},
                 "robustness": float(worlds["robustness"][k // self.envs_per_world]),
                 "success": success,

@@ -12,6 +12,8 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from impact_envs.domain import find_part
+from impact_envs.errors import InputError
+from impact_envs.failure import NotFinite, SimulationFailed, TooManyEvents, check_finite
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.reward import compute_reward, compute_team_reward
@@ -27,7 +29,11 @@ class Model(Protocol):
         """Put the bodies at their start in a world with these physics."""
 
     def step(self, controls: Mapping[str, np.ndarray]) -> list[Impact]:
-        """Advance one control period under held controls; return the impacts in order of time."""
+        """Advance one control period under held controls; return the impacts in order of time.
+
+        Raises:
+            SimulationFailed: the world cannot be followed any further.
+        """
 
     def state(self) -> np.ndarray:
         """Return the true state, one row per body."""
@@ -92,9 +98,12 @@ class ImpactEnv(ParallelEnv):
 
     Starting state: as the scenario says; the true physics are drawn from the reset seed.
 
-    Episode end: never ``terminated``; ``truncated`` at the scenario's horizon (or ``max_cycles``, if earlier).
+    Episode end: ``truncated`` at the scenario's horizon (or ``max_cycles``, if earlier); ``terminated`` only where the
+    simulation fails: a state is not finite, or impacts do not end within a control period. The observation is then the
+    last sample, the robustness minus the world's diagonal, and ``failure`` of the infos says what happened.
 
-    ``infos[agent]`` carries ``robustness_lower``, ``robustness_upper``; at the end also ``robustness`` and ``success``
+    ``infos[agent]`` carries ``overflow`` (1 where impacts did not end within the control period),
+    ``robustness_lower``, ``robustness_upper``; at the end also ``robustness`` and ``success``
     of the whole formula on the true signals (``robustness`` is the lower bound if max_cycles cut the horizon).
     """
 
@@ -123,6 +132,7 @@ class ImpactEnv(ParallelEnv):
         self.curves: dict[str, np.ndarray] = {}  # polylines to draw under the bodies, for example a plan
         self.impacts: list[Impact] = []  # of the last control period
         self.impulse = 0.0  # propulsion spent since reset
+        self.failure: SimulationFailed | None = None  # that ended the episode
         self._rng: np.random.Generator | None = None
         self._renderer: Any = None
         self._trailed: list[str] = []  # bodies whose path is drawn
@@ -158,10 +168,11 @@ class ImpactEnv(ParallelEnv):
             self._rng, _ = seeding.np_random(seed)
         physics = self.scenario.draw(self._rng)
         self.model.reset(physics)
-        self.steps, self.impacts, self.impulse = 0, [], 0.0
+        self.steps, self.impacts, self.impulse, self.failure = 0, [], 0.0, None
         self.agents = list(self.possible_agents)
-        self.task.reset(physics, self.model.state(), self._rng)
-        self.signals = self.task.signals(self.model.state())
+        self._states = self.model.state()
+        self.task.reset(physics, self._states, self._rng)
+        self.signals = self.task.signals(self._states)
         self.monitor.reset()
         self.bounds = self._watch()
         self._track, self._marks = [], []
@@ -188,15 +199,19 @@ class ImpactEnv(ParallelEnv):
         if not self.agents:
             return {}, {}, {}, {}, {}
         controls = self.task.controls(actions)
-        self.impacts = self.model.step(controls)
+        before = self.bounds
+        self._advance(controls)
         self.steps += 1
         self.impulse += self.task.impulse(controls)
-        states = self.model.state()
-        self.task.sense(states, self.impacts)
-        self.signals = self.task.signals(states)
-        before, self.bounds = self.bounds, self._watch()
+        if self.failure is None:
+            self.task.sense(self._states, self.impacts)
+            self.signals = self.task.signals(self._states)
+            self.bounds = self._watch()
+        else:
+            self.bounds = (-self._limit, -self._limit)
         self._remember()
-        over = self.steps >= min(self.max_cycles, self._last)
+        failed = self.failure is not None
+        over = failed or self.steps >= min(self.max_cycles, self._last)
         agents, team = self.agents, compute_team_reward(before, self.bounds, over)
         rewards = {agent: compute_reward(team, len(agents), self.task.effort(actions[agent])) for agent in agents}
         observations, infos = self.task.observe(self.time, self.bounds), self._infos(over)
@@ -204,11 +219,12 @@ class ImpactEnv(ParallelEnv):
             self.agents = []
         if self.render_mode == "human":
             self.render()
-        return observations, rewards, dict.fromkeys(agents, False), dict.fromkeys(agents, over), infos
+        return observations, rewards, dict.fromkeys(agents, failed), dict.fromkeys(agents, over and not failed), infos
 
     def state(self) -> np.ndarray:
         """Return the true state of all bodies, row after row, then time / horizon (for centralised critics)."""
-        return np.append(self.model.state().ravel(), self.time / self.scenario.horizon)
+        states = self.model.state() if self.failure is None else self._states
+        return np.append(states.ravel(), self.time / self.scenario.horizon)
 
     def render(self) -> np.ndarray | None:
         """Draw the present step.
@@ -228,7 +244,7 @@ class ImpactEnv(ParallelEnv):
         frame = Frame(
             time=self.time,
             poses=self._track[-1],
-            chains=self.task.chains(self.model.state()),
+            chains=self.task.chains(self._states),
             trails={body: np.array([step[body][:2] for step in self._track]) for body in self._trailed},
             plans=self.curves,
             impacts=[(*mark.point, self.time - mark.time) for mark in self._marks],
@@ -246,6 +262,32 @@ class ImpactEnv(ParallelEnv):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}
 
+    def _advance(self, controls: Mapping[str, np.ndarray]) -> None:
+        """Move the world through one control period; where that fails, keep the last states and the failure."""
+        self.impacts = []
+        try:
+            impacts = self.model.step(controls)
+            states = self.model.state()
+            check_finite(states, self.scenario.bodies)
+        except InputError:
+            raise
+        except (SimulationFailed, ArithmeticError, ValueError) as error:
+            self.failure = self._explain(error)
+        else:
+            self.impacts, self._states = impacts, states
+
+    def _explain(self, error: Exception) -> SimulationFailed:
+        """Return why the model failed: arithmetic may stop at a state that is not finite before anybody looks at it."""
+        try:
+            check_finite(self.model.state(), self.scenario.bodies)
+        except NotFinite as failure:
+            return failure
+        except (ArithmeticError, ValueError):
+            return NotFinite("a body")
+        if isinstance(error, SimulationFailed):
+            return error
+        raise error
+
     def _remember(self) -> None:
         if self.render_mode is not None:
             s = self.signals
@@ -260,8 +302,11 @@ class ImpactEnv(ParallelEnv):
 
     def _infos(self, over: bool = False) -> dict[str, dict[str, Any]]:
         info: dict[str, Any] = {"robustness_lower": self.bounds[0], "robustness_upper": self.bounds[1]}
+        info["overflow"] = int(isinstance(self.failure, TooManyEvents))
         if over:
             info |= {"robustness": self.bounds[0], "success": self.monitor.verdict is True}
+        if self.failure is not None:
+            info |= {"robustness": -self._limit, "success": False, "failure": str(self.failure)}
         return {agent: dict(info) for agent in self.agents}
 
 

@@ -4,10 +4,24 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
+LONGEST_MESSAGE = 2000  # characters; what the user wrote may be of any length
 
 
 class InputError(ValueError):
-    """Bad input from the user (file, formula, argument, checkpoint); the command line exits with 2."""
+    """Bad input from the user (file, formula, argument, checkpoint); the command line exits with 2.
+
+    Args:
+        message: what is wrong; becomes one line, whatever names and values of the user stand in it.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in message[:LONGEST_MESSAGE])
+        super().__init__(line + "..." * (len(message) > LONGEST_MESSAGE))
 
 
 class ScenarioError(InputError):
@@ -32,3 +46,10 @@ def choices(wrong: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(wrong, names, n=1)
     hint = f"did you mean '{near[0]}'? " if near else ""
     return f"{hint}choices: {', '.join(names) or 'none'}"
+
+
+def describe_fault(error: ValidationError) -> str:
+    """Return where the first fault of some data is, and what it is, such as ``cases.0.name: Field required``."""
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(part) for part in first["loc"]) or "content"
+    return f"{where}: {first['msg'].removeprefix('Value error, ')}"

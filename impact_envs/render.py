@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import os
+import sys
 from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from impact_envs.errors import InputError, choices
+from impact_envs.file import replace_file
 from impact_envs.painter import Frame, Painter
 from impact_envs.shape import Shape
 
@@ -105,12 +109,15 @@ class Film:
         path: file to write: .mp4 (H.264), .gif (endless loop) or .png (the last frame).
         fps: frames per second.
 
+    The end of a ``with`` statement closes it; an exception leaves no file.
+
     Raises:
         InputError: unknown suffix, or missing directory.
     """
 
     def __init__(self, path: str | Path, fps: float) -> None:
         self.path, self._fps = Path(path), fps
+        self._file, self._encoded = ExitStack(), io.BytesIO()
         self.suffix = self.path.suffix.lower()
         self._writer: Any = None
         self._last: np.ndarray | None = None
@@ -124,11 +131,18 @@ class Film:
 
         Args:
             picture: shape (height, width, 3) uint8, of the same size every time.
+
+        Raises:
+            InputError: the file cannot be written.
         """
         self._last = picture
         if self.suffix != ".png":
-            self._writer = self._writer or self._open()
-            self._writer.append_data(picture)
+            try:
+                self._writer = self._writer or self._open()
+                self._writer.append_data(picture)
+            except BaseException:
+                self.__exit__(*sys.exc_info())
+                raise
 
     def close(self) -> Path:
         """Finish the file.
@@ -137,22 +151,62 @@ class Film:
             The path written.
 
         Raises:
-            InputError: no frame was added.
+            InputError: no frame was added, or the file cannot be written.
         """
         if self._last is None:
             raise InputError(f"video '{self.path}': there are no frames to write")
-        if self._writer is not None:
-            self._writer.close()
-        else:
+        if self.suffix == ".png":
             import imageio.v2 as imageio
 
-            imageio.imwrite(self.path, self._last)
+            with replace_file(self.path) as partial:
+                imageio.imwrite(partial, self._last)
+        elif self._writer is not None:
+            with self._file:
+                writer, self._writer = self._writer, None
+                writer.close()
+                if self.suffix == ".gif":
+                    self._partial.write_bytes(self._encoded.getvalue())
+                # The encoder is a process of its own, which tells nobody that the disk was full.
+                if self.suffix == ".mp4" and self._partial.is_file() and not _is_whole(self._partial):
+                    raise OSError("the encoder stopped early; is the disk full?")
         return self.path
+
+    def __enter__(self) -> Film:
+        return self
+
+    def __exit__(self, *reason: Any) -> None:
+        if reason[0] is None:
+            self.close()
+            return
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            with suppress(OSError):
+                writer.close()
+        self._file.__exit__(*reason)
 
     def _open(self) -> Any:
         import imageio.v2 as imageio
 
+        self._partial = self._file.enter_context(replace_file(self.path))
         if self.suffix == ".gif":
-            return imageio.get_writer(self.path, duration=1000.0 / self._fps, loop=0)
+            # In memory: after a full disk, imageio would go on trying, and print every failure.
+            return imageio.get_writer(self._encoded, format=".gif", duration=1000.0 / self._fps, loop=0)
         # H.264 wants even sides, which a macro block of 2 ensures.
-        return imageio.get_writer(self.path, fps=self._fps, codec="libx264", quality=8, macro_block_size=2)
+        return imageio.get_writer(self._partial, fps=self._fps, codec="libx264", quality=8, macro_block_size=2)
+
+
+def _is_whole(path: Path) -> bool:
+    """Return whether an MP4 file ends where its last box ends, and has the box that lists its frames."""
+    place, kinds, size = 0, set(), path.stat().st_size
+    with path.open("rb") as file:
+        while place < size:
+            file.seek(place)
+            head = file.read(16)
+            length = int.from_bytes(head[:4], "big")
+            if length == 1:  # a long box
+                length = int.from_bytes(head[8:16], "big")
+            if length < 8:
+                return False
+            kinds.add(head[4:8])
+            place += length
+    return place == size and b"moov" in kinds

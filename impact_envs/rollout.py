@@ -111,6 +111,8 @@ class Episode:
         replans: how often the policy changed its plan.
         wall_seconds: duration of the rollout [s].
         reoptimised: how often the policy optimised what is left of the task anew, method to count.
+        failure: why the simulation failed; "" where it did not. Robustness is then the lowest, minus the world's
+            diagonal.
     """
 
     scenario: str
@@ -131,6 +133,7 @@ class Episode:
     replans: int
     wall_seconds: float
     reoptimised: Mapping[str, int] = field(default_factory=dict)
+    failure: str = ""
 
 
 def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode:
@@ -165,7 +168,8 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
             on_step(env)
     scenario, diagnostics = env.scenario, policy.diagnostics()
     traces = {name: np.array([sample[name] for sample in signals]) for name in signals[0]}
-    rho, success = _judge(scenario, traces, bounds[-1][0])
+    failed = env.failure is not None
+    rho, success = (bounds[-1][0], False) if failed else _judge(scenario, traces, bounds[-1][0])
     return Episode(
         scenario=scenario.name,
         policy=policy.name,
@@ -185,6 +189,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         replans=diagnostics.replans,
         wall_seconds=time.perf_counter() - start,
         reoptimised=dict(diagnostics.reoptimised),
+        failure=str(env.failure) if failed else "",
     )
 
 

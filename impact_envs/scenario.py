@@ -15,16 +15,39 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from impact_envs.domain import find_part, find_scenarios, list_domains
 from impact_envs.errors import InputError, ScenarioError, choices
-from impact_envs.stl import RESERVED, SIGNALS, Formula, parse
+from impact_envs.stl import LARGEST, RESERVED, SIGNALS, Formula, parse
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+SMALLEST = 1e-9  # of numbers that must be positive: quotients with LARGEST, and their products, stay finite
+MOST_PERIODS = 1_000_000  # control periods in a horizon: hours of computing
+LONGEST_PERIOD = 60.0  # of control [s]: within one, engines may take many short steps
+LONGEST_NAME = 64  # letters, so that files can be called after it
+
+
+def _check_size(number: float) -> float:
+    if number < SMALLEST:
+        raise ValueError(f"{number:g} is below {SMALLEST:g}, the smallest number above 0")
+    return number
+
+
+Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False), AfterValidator(_check_size)]
+NonNegative = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite]
+
+
+def _check_file_name(name: str) -> str:
+    if not re.fullmatch(rf"[\w-][\w.-]{{0,{LONGEST_NAME - 1}}}", name):
+        raise ValueError(
+            f"{name!r} cannot name a file; use up to {LONGEST_NAME} letters, digits, '_', '-' and, not first, '.'"
+        )
+    return name
+
+
+Name = Annotated[str, AfterValidator(_check_file_name)]  # files may be called after it
 
 
 class Table(BaseModel):
@@ -69,8 +92,7 @@ class Box(Table):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        if not (self.lower[0] < self.upper[0] and self.lower[1] < self.upper[1]):
-            raise ValueError(f"lower {list(self.lower)} must be below upper {list(self.upper)} in both axes")
+        check_box(self.lower, self.upper)
         return self
 
     @property
@@ -91,7 +113,7 @@ class Region(Table):
         if self.vertices is None:
             if self.lower is None or self.upper is None:
                 raise ValueError("give lower and upper, or vertices")
-            Box(lower=self.lower, upper=self.upper)
+            check_box(self.lower, self.upper)
         elif self.lower is not None or self.upper is not None:
             raise ValueError("give either lower and upper, or vertices, not both")
         else:
@@ -121,6 +143,19 @@ class Region(Table):
         return H, np.sum(H * corners, axis=1)
 
 
+def check_box(lower: Vector, upper: Vector) -> None:
+    """Raise unless one corner of a box is below the other in both axes.
+
+    Args:
+        lower, upper: corners [m].
+
+    Raises:
+        ValueError: it is not, or by less than what counts as a length.
+    """
+    if not all(low + SMALLEST <= high for low, high in zip(lower, upper, strict=True)):
+        raise ValueError(f"lower {list(lower)} must be below upper {list(upper)} in both axes")
+
+
 def check_convex(vertices: tuple[tuple[float, float], ...]) -> None:
     """Raise unless the vertices go counter-clockwise round a strictly convex polygon.
 
@@ -134,6 +169,8 @@ def check_convex(vertices: tuple[tuple[float, float], ...]) -> None:
         raise ValueError(f"a polygon needs at least 3 vertices, got {len(vertices)}")
     points = np.array(vertices)
     edges = np.roll(points, -1, axis=0) - points
+    if np.min(np.hypot(*edges.T)) < SMALLEST:
+        raise ValueError(f"two vertices in a row are nearer than {SMALLEST:g} m")
     after = np.roll(edges, -1, axis=0)
     turns = edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0]
     angle = np.sum(np.arctan2(turns, np.sum(edges * after, axis=1)))
@@ -146,14 +183,14 @@ class Scenario(Table):
 
     suite_file: ClassVar[Path | None] = None
 
-    name: str = ""
+    name: Name = ""
     domain: str
     description: str = ""
     formula: str
     horizon: Positive
-    control_period: Positive
+    control_period: Annotated[Positive, Field(le=LONGEST_PERIOD)]
     regions: dict[str, Region] = {}
-    suites: dict[str, dict[str, Any]] = {}
+    suites: dict[Name, dict[str, Any]] = {}
 
     @property
     def agents(self) -> tuple[str, ...]:
@@ -223,18 +260,27 @@ class Scenario(Table):
             raise ScenarioError(f"{self.name}: suite '{name}' is unknown; {choices(name, table)}")
         values = dict(table[name])
         scale = values.pop("horizon_scale", 1.0)
+        if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale <= 1:
+            raise ScenarioError(
+                f"{self.name}: suite '{name}': horizon_scale = {scale!r:.60}: must be above 0, at most 1"
+            )
         changed = self.override(values)
         return changed if scale == 1.0 else changed.shorten(scale)
 
     def shorten(self, scale: float) -> Self:
         """Return the scenario with horizon and every time in the formula scaled.
 
+        The horizon is kept a whole number of control periods, at least one. An interval of the formula that contains no
+        sample any more moves to the sample before it.
+
         Args:
-            scale: factor in (0, 1] for tighter tasks; the horizon is kept a whole number of control periods.
+            scale: factor in (0, 1] for tighter tasks.
         """
-        horizon = round(self.horizon * scale / self.control_period) * self.control_period
-        formula = self.specification.scale_time(horizon / self.horizon)
-        return self.override({"horizon": horizon, "formula": str(formula)})
+        horizon = max(1, round(self.horizon * scale / self.control_period)) * self.control_period
+        return self.override({"horizon": horizon, "formula": self._shorten_formula(self.specification, horizon)})
+
+    def _shorten_formula(self, formula: Formula, horizon: float) -> str:
+        return str(formula.scale_time(horizon / self.horizon).move_to_samples(self.control_period))
 
     def _suites(self) -> dict[str, dict[str, Any]]:
         shipped = tomllib.loads(self.suite_file.read_text()) if self.suite_file else {}
@@ -242,13 +288,20 @@ class Scenario(Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        if self.horizon > self.control_period * MOST_PERIODS * (1 + 1e-9):
+            raise ValueError(
+                f"control_period = {self.control_period:g}: horizon {self.horizon:g} has more than "
+                f"{MOST_PERIODS} control periods"
+            )
         if not math.isclose(self.steps * self.control_period, self.horizon, rel_tol=1e-9):
             raise ValueError(
                 f"horizon {self.horizon:g} is not a whole number of control periods {self.control_period:g}"
             )
         for name in (*self.bodies, *self.areas):
-            if name in RESERVED or not name.isidentifier():
-                raise ValueError(f"'{name}' cannot be named in a formula; use letters, digits and underscores")
+            if name in RESERVED or not re.fullmatch(rf"[^\W\d]\w{{0,{LONGEST_NAME - 1}}}", name):
+                raise ValueError(
+                    f"'{name}' cannot be named in a formula; use at most {LONGEST_NAME} letters, digits and underscores"
+                )
         try:
             formula = self.specification
             formula.check_names(self.bodies, tuple(self.areas), self.signals)
@@ -279,20 +332,31 @@ def load_scenario(source: str | Path | Scenario) -> Scenario:
     """
     if isinstance(source, Scenario):
         return source
+    if not isinstance(source, str | Path):
+        raise ScenarioError(f"a scenario is a name, a path or a Scenario, got {type(source).__name__}")
     shipped = {path.stem: path for path in find_scenarios()}
     path = shipped.get(str(source), Path(source))
-    if not path.is_file():
+    if not _is_file(path):
         if path.suffix == ".toml" or len(path.parts) > 1:
             raise ScenarioError(f"{path}: no such scenario file; {choices(path.stem, sorted(shipped))}")
-        raise ScenarioError(f"scenario '{source}' is unknown; {choices(str(source), sorted(shipped))}")
+        raise ScenarioError(f"scenario '{source!s:.60}' is unknown; {choices(str(source), sorted(shipped))}")
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise ScenarioError(f"{path}: not readable as TOML: {error}") from None
+    except RecursionError:
+        raise ScenarioError(f"{path}: not readable as TOML: nested too deeply") from None
     if not data:
         raise ScenarioError(f"{path}: the file is empty; it needs at least domain, formula, horizon, control_period")
     data.setdefault("name", path.stem)
     return build_scenario(data, source=str(path))
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # for example a name too long for the file system
+        return False
 
 
 def build_scenario(data: dict[str, Any], source: str) -> Any:
@@ -307,22 +371,32 @@ def build_scenario(data: dict[str, Any], source: str) -> Any:
     """
     domain = data.get("domain")
     known = list_domains()
-    if domain not in known:
-        wrong = "is missing" if domain is None else f"'{domain}' is unknown"
+    if not isinstance(domain, str) or domain not in known:
+        wrong = "is missing" if domain is None else f"{domain!r:.60} is unknown"
         raise ScenarioError(f"{source}: domain {wrong}; {choices(str(domain), known)}")
     schema = find_part("impact_envs", domain, "SCHEMA")
     try:
         return schema.model_validate(data)
     except ValidationError as error:
-        raise ScenarioError(f"{source}: {_one_line(error, schema)}") from None
+        raise ScenarioError(f"{source}: {_one_line(error, schema, data)}") from None
+    except UnicodeEncodeError as error:
+        raise ScenarioError(f"{source}: {error.object!r:.60} is no text: {error.reason}") from None
 
 
-def _one_line(error: ValidationError, schema: type[Table]) -> str:
+def _one_line(error: ValidationError, schema: type[Table], data: Any) -> str:
     """Say the first thing wrong in the file's own words: key, value, limit and choices."""
     # A misspelt key is also a missing one; the misspelling is what the user wants to hear of.
-    first = min(error.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
-    # Branches of a quantity's union are pydantic's names for our types, not keys of the file.
-    path = [str(part) for part in first["loc"] if not re.fullmatch(r"Uniform|float|.*[-\[].*", str(part))]
+    # And a table for a quantity is a distribution with a fault rather than no number.
+    first = min(
+        error.errors(),
+        key=lambda entry: (
+            entry["type"] != "extra_forbidden",
+            entry["type"] == "float_type" and isinstance(entry["input"], dict),
+        ),
+    )
+    path = _find_path(first["loc"], data)
+    if first["type"] == "missing":
+        path.append(str(first["loc"][-1]))
     key = ".".join(path)
     if first["type"] == "extra_forbidden":
         known = _keys(schema, path[:-1])
@@ -333,7 +407,18 @@ def _one_line(error: ValidationError, schema: type[Table]) -> str:
     message = first["msg"].removeprefix("Value error, ")
     if first["type"] == "value_error":
         return f"{key}: {message}" if key else message
-    return f"{key} = {first['input']!r}: {message[0].lower()}{message[1:]}"
+    return f"{key} = {first['input']!r:.60}: {message[0].lower()}{message[1:]}"
+
+
+def _find_path(location: tuple[int | str, ...], data: Any) -> list[str]:
+    """Return the keys of the file among an error's: pydantic puts names of its own between, as of a union's branch."""
+    path = []
+    for part in location:
+        known = range(len(data)) if isinstance(data, list | tuple) else data if isinstance(data, dict) else ()
+        if part in known:
+            path.append(str(part))
+            data = data[part]
+    return path
 
 
 def _keys(schema: type[Table], path: list[str]) -> list[str]:

@@ -30,9 +30,10 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
     Action and observation spaces, rewards, starting state, episode end: as JointEnv.
 
     Observations, rewards and infos are fresh arrays at every call. ``infos`` carries ``robustness_lower``,
-    ``robustness_upper``, ``impacts`` (in the last control period) and ``overflow`` (control periods since reset with
-    more events than are followed; 0 unless the engine's rules failed) of every world; where an episode ended also
-    ``robustness`` and ``success``, marked by ``_robustness`` and ``_success``; with autoreset in the same step
+    ``robustness_upper``, ``impacts`` (in the last control period) and ``overflow`` (1 where impacts did not end within
+    it) of every world; where an episode ended also
+    ``robustness`` and ``success``, marked by ``_robustness`` and ``_success``; where a simulation failed also
+    ``failure``, an array of texts, marked by ``_failure``; with autoreset in the same step
     ``final_obs``, marked by ``_final_obs``, and ``final_info``, the infos of the end of all worlds.
 
     Args:
@@ -145,7 +146,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             actions: in [-1, 1], shape (num_envs, 3 robots), robots in scenario order.
 
         Returns:
-            Observations, rewards (summed over robots), terminations (never), truncations, infos.
+            Observations, rewards (summed over robots), terminations (of failed simulations), truncations, infos.
 
         Raises:
             InputError: an action that is no finite number, naming world and robot; before ``reset``; or, without
@@ -168,15 +169,16 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         rewards = self._sum_robots(output.rewards)
         infos = self._infos(over if self._ended else None)
         self._over = _copy(over)
-        truncations = _copy(over)
+        terminations = self.batch.failed if self._ended else self._falses()
+        truncations = over & ~terminations
         if self._ended and self.autoreset_mode == AutoresetMode.SAME_STEP:
             infos = self._start_over(over, output, infos)
         give = self._give
-        return give(output.joint), give(rewards), give(self._falses()), give(truncations), infos
+        return give(output.joint), give(rewards), give(terminations), give(truncations), infos
 
     def _start_over(self, over: Any, output: Any, infos: dict[str, Any]) -> dict[str, Any]:
         """Start the next episode where one is over; return infos of its start, and of the end."""
-        ends = ("robustness", "_robustness", "success", "_success")
+        ends = [name for end in ("robustness", "success", "failure") for name in (end, f"_{end}") if name in infos]
         final = {"final_obs": self._give(_copy(output.joint)), "final_info": infos}
         if self.per_robot:
             final |= {"final_agent_obs": self._give(_copy(output.agents))}
@@ -207,7 +209,12 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         if over is not None:
             infos |= {"robustness": low * over, "_robustness": _copy(over)}
             infos |= {"success": over & (low > 0), "_success": _copy(over)}
-        return {name: self._give(value) for name, value in infos.items()} if self.tensors else infos
+        failed = batch.failed if over is not None else None
+        if self.tensors:
+            infos = {name: self._give(value) for name, value in infos.items()}
+        if failed is not None and failed.any():
+            infos |= {"failure": batch.describe_failures(), "_failure": self._give(failed)}
+        return infos
 
     def _make_seeds(self, seed: Any, worlds: np.ndarray) -> np.ndarray:
         """Return the seeds of some worlds, shape (m,)."""

@@ -94,11 +94,8 @@ def make_expert(
         return make(loaded.as_believed(), **arguments)
     if plan is None:
         plan = make_plan(loaded)
-    elif set(plan.robots) != set(loaded.agents):
-        raise InputError(
-            f"the plan is for {plan.scenario} with {', '.join(plan.robots)}; "
-            f"scenario {loaded.name} has {', '.join(loaded.agents)}"
-        )
+    else:
+        check_plan(loaded, plan)
     return make(loaded.as_believed(), plan, **arguments)
 
 
@@ -131,8 +128,25 @@ def make_expert_batch(
     if make is None:
         raise InputError(f"scenario '{loaded.name}': the expert of domain '{loaded.domain}' knows one world only")
     arguments = _choose(loaded, variant, options)
-    chosen = make_plan(loaded) if plan is None else plan
-    return make(loaded.as_believed(), chosen, count, **arguments, threads=threads)
+    if plan is None:
+        plan = make_plan(loaded)
+    else:
+        check_plan(loaded, plan)
+    return make(loaded.as_believed(), plan, count, **arguments, threads=threads)
+
+
+def check_plan(scenario: Scenario, plan: Plan) -> None:
+    """Raise unless a plan was made for a scenario of this name, with these robots and objects.
+
+    Raises:
+        InputError: it is another scenario's.
+    """
+    bodies = (*plan.robots, *plan.objects)
+    if plan.scenario != scenario.name or set(bodies) != set(scenario.bodies):
+        raise InputError(
+            f"the plan is for {plan.scenario} with {', '.join(bodies)}; "
+            f"scenario {scenario.name} has {', '.join(scenario.bodies)}"
+        )
 
 
 def _choose(scenario: Scenario, variant: str | None, options: Mapping[str, Any] | None) -> dict[str, Any]:

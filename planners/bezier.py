@@ -28,7 +28,7 @@ def read_array(value: object) -> np.ndarray:
     """
     try:
         array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"expected an array of numbers, got {value!r:.60}") from None
     if not np.isfinite(array).all():
         raise InputError("expected finite numbers, got inf or nan")

@@ -6,15 +6,17 @@ import json
 from dataclasses import dataclass, field, fields
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from pydantic import ConfigDict, FiniteFloat, TypeAdapter, ValidationError
 
-from impact_envs.errors import InputError
+from impact_envs.errors import InputError, choices
+from impact_envs.file import write_atomically
 from planners.bezier import Array, Curve, read_array
 
 _STRICT = ConfigDict(extra="forbid")
+Objective = Literal["robustness", "impact_uncertainty"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +139,7 @@ class Plan:
     """
 
     scenario: str
-    objective: str
+    objective: Objective
     horizon: FiniteFloat
     robustness: FiniteFloat
     bound: FiniteFloat
@@ -158,6 +160,10 @@ class Plan:
     __pydantic_config__ = _STRICT
 
     def __post_init__(self) -> None:
+        if self.objective not in get_args(Objective):
+            raise InputError(
+                f"plan: objective '{self.objective}' is unknown; {choices(self.objective, get_args(Objective))}"
+            )
         for name, curve in (self.robots | self.objects).items():
             if curve.times[0] != 0.0 or curve.times[-1] != self.horizon:
                 span = f"[{curve.times[0]}, {curve.times[-1]}]"
@@ -193,6 +199,8 @@ class Plan:
             raise InputError(f"plan: {_first_line(error)}") from None
         except ValueError as error:
             raise InputError(f"plan: not JSON: {error}") from None
+        except RecursionError:
+            raise InputError("plan: not JSON of a plan: nested too deep") from None
 
     def save(self, path: str | Path) -> None:
         """Write the plan to a JSON file.
@@ -203,10 +211,7 @@ class Plan:
         Raises:
             InputError: the file cannot be written.
         """
-        try:
-            Path(path).write_text(self.to_json() + "\n", encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"plan file {path}: cannot be written: {error.strerror}") from None
+        write_atomically(path, (self.to_json() + "\n").encode())
 
     @classmethod
     def load(cls, path: str | Path) -> Plan:

@@ -41,8 +41,11 @@ from impact_envs.scenario import Scenario, load_scenario
 from planners import has_planner, make_expert, make_plan
 from planners.plan import Plan
 from train.arguments import Args
+from train.evaluation.errors import WorkerLost
+from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
 from train.evaluation.statistics import compare_pairs, compute_wilson_interval
+from train.evaluation.workers import end_with_parent
 from train.watch import EpisodeLog, show_progress, stop_on_signals
 
 # Tuning seeds start here; evaluation seeds start at 2,000,000.
@@ -64,9 +67,23 @@ def main(args: Args) -> dict[str, Any]:
     Raises:
         InputError: bad arguments, or a run in ``out`` that cannot be gone on with.
         PlanningError: the expert found no plan.
+        WorkerLost: the process of an environment ended.
     """
-    start = time.perf_counter()
     check_args(args)
+    load_scenario(args.scenario).suite(args.suite)  # refused before anything is written
+    with lock_folder(args.out):
+        check_run(args)
+        try:
+            return _train(args)
+        except (EOFError, ConnectionError) as error:
+            raise WorkerLost(
+                f"out {args.out}: the process of an environment ended ({type(error).__name__}): killed, or out of "
+                "memory? resume from the last checkpoint"
+            ) from None
+
+
+def _train(args: Args) -> dict[str, Any]:
+    start = time.perf_counter()
     torch.set_num_threads(1)
     scenario = load_scenario(args.scenario)
     plan = make_plan(scenario.suite(args.suite)) if has_planner(scenario) else None
@@ -84,7 +101,7 @@ def main(args: Args) -> dict[str, Any]:
                     run.evaluate_if_due()
                 run.save()
     finally:
-        envs.close()
+        _close(envs)
     return {
         "steps": model.num_timesteps,
         "out": str(args.out),
@@ -92,6 +109,15 @@ def main(args: Args) -> dict[str, Any]:
         "eval": max(run.evaluations, key=_score, default={}),
         "interrupted": stopping.is_set(),
     }
+
+
+def _close(envs: VecNormalize) -> None:
+    """Close environments; where one process has died, the others end at once."""
+    try:
+        envs.close()
+    except (EOFError, ConnectionError):
+        for process in cast(SubprocVecEnv, envs.venv).processes:
+            process.kill()
 
 
 def check_args(args: Args) -> None:
@@ -112,6 +138,18 @@ def check_args(args: Args) -> None:
         raise InputError(f"rollout {args.rollout} is not a multiple of n_envs {args.n_envs}")
     if not args.hidden or min(args.hidden) < 1:
         raise InputError(f"hidden {list(args.hidden)}: every layer needs a width of at least 1")
+    check_run(args)
+
+
+def check_run(args: Args) -> None:
+    """Raise unless what is in ``out`` is gone on with if there is something, and can be.
+
+    Args:
+        args: arguments of a run.
+
+    Raises:
+        InputError: one line naming the folder, and the argument that differs.
+    """
     held = last_checkpoint(args.out)
     if args.resume and held is None:
         raise InputError(f"out {args.out}: holds no checkpoint to resume from")
@@ -177,9 +215,10 @@ class DecidedEnds(gymnasium.Wrapper[np.ndarray, np.ndarray, np.ndarray, np.ndarr
 
 def _make_env(scenario: Scenario, suite: str, plan: Plan | None, apart: bool) -> DecidedEnds:
     if apart:
-        # Stopping is the parent's to handle; without it the pipe ends, and so does this process.
+        # Stopping is the parent's to handle; without it, so does this process.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
+        end_with_parent()
     return DecidedEnds(ResidualEnv(scenario, suite, plan))
 
 
@@ -249,9 +288,12 @@ class Run:
         if not folder.exists():
             partial = folder.with_name(f".{folder.name}")
             shutil.rmtree(partial, ignore_errors=True)
-            self._save_policy(partial)
-            save_training(partial, self._model, self._envs, self._settings, self.evaluations)
-            partial.rename(folder)
+            try:
+                self._save_policy(partial)
+                save_training(partial, self._model, self._envs, self._settings, self.evaluations)
+                partial.rename(folder)
+            finally:
+                shutil.rmtree(partial, ignore_errors=True)
         if self._args.eval_every == 0:
             self._save_policy(self._args.out)
         for old in sorted(folder.parent.glob("[0-9]*"))[:-2]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from impact_envs.dual_arm.arm import compute_dynamics, compute_kinematics
 from impact_envs.dual_arm.grasp_record import add_tick, begin_period, make_grasp_record
-from impact_envs.dual_arm.plant import ARM, BOX, CONTACTS, NORMAL, STATE, TANGENTIAL, Plant, advance_state
+from impact_envs.dual_arm.plant import ARM, BOX, CONTACTS, NORMAL, STATE, TANGENTIAL, advance_state, make_plant
 from impact_envs.dual_arm.schema import DualArmScenario, Physics
 from impact_envs.errors import InputError, choices
 from impact_envs.physics.impact import Impact
@@ -32,7 +32,7 @@ class DualArmModel:
     def __init__(self, scenario: DualArmScenario) -> None:
         self.scenario = scenario
         self._substeps = scenario.substeps
-        self._h = scenario.tick / self._substeps
+        self._step_length = scenario.tick / self._substeps
         self._work = np.zeros((6, STATE))
         self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
 
@@ -49,10 +49,10 @@ class DualArmModel:
         self._sums = np.zeros((4, 2))
         self._record = make_grasp_record()
         self._touched = np.zeros(2, dtype=bool)
-        self._s = np.zeros(STATE)
+        self._state = np.zeros(STATE)
         q = self.scenario.joint_angles(physics.starts)
         self.set_joints(q, np.zeros((2, 3)))
-        self._s[BOX : BOX + 3] = physics.box
+        self._state[BOX : BOX + 3] = physics.box
 
     @property
     def time(self) -> float:
@@ -69,12 +69,12 @@ class DualArmModel:
         M, load = np.zeros((3, 3)), np.zeros(3)
         for i in range(2):
             compute_dynamics(self.plant.arms[i], q[i], np.zeros(3), M, load)
-            deflection = load / self.plant.joints[0]
-            self._s[ARM * i : ARM * (i + 1)] = [*q[i], *v[i], *(q[i] + deflection), *v[i]]
+            deflection = load / self.plant.joint_stiffness
+            self._state[ARM * i : ARM * (i + 1)] = [*q[i], *v[i], *(q[i] + deflection), *v[i]]
 
     def joints(self) -> tuple[np.ndarray, np.ndarray]:
         """Return joint angles and rates on the link side, shapes (2, 3) [rad], [rad/s]."""
-        arms = self._s[:BOX].reshape(2, 4, 3)
+        arms = self._state[:BOX].reshape(2, 4, 3)
         return arms[:, 0].copy(), arms[:, 1].copy()
 
     def state(self) -> np.ndarray:
@@ -94,7 +94,7 @@ class DualArmModel:
         rows[:2, JOINTS], rows[:2, RATES] = q, v
         rows[:2, FORCES] = self._contacts[:4, NORMAL].reshape(2, 2)
         rows[:, KEPT] = self._record.values
-        rows[2, :6] = _interleave(self._s[BOX : BOX + 3], self._s[BOX + 3 :])
+        rows[2, :6] = _interleave(self._state[BOX : BOX + 3], self._state[BOX + 3 :])
         return rows
 
     def contacts(self) -> np.ndarray:
@@ -117,7 +117,9 @@ class DualArmModel:
             torques: of each arm's joints, clipped to their limits, shape (2, 3) [N m].
         """
         tau = np.clip(torques, -self.plant.limits, self.plant.limits)
-        advance_state(self.plant, tau, self._s, self._substeps, self._h, self._work, self._contacts, self._sums)
+        advance_state(
+            self.plant, tau, self._state, self._substeps, self._step_length, self._work, self._contacts, self._sums
+        )
         add_tick(self._record, self._contacts, self._sums, tau, self.plant.limits, self.scenario.tick)
         self._ticks += 1
 
@@ -152,14 +154,14 @@ class DualArmModel:
         for k in range(ticks):
             before = self._sums[:, 1].copy()
             self.tick(torques[k])
-            impacts += self._report(before)
+            impacts += self._find_touches(before)
         return impacts
 
-    def _report(self, before: np.ndarray) -> list[Impact]:
+    def _find_touches(self, before: np.ndarray) -> list[Impact]:
         """Return the pads' first touches in the last tick, as impacts on the box."""
         impacts = []
         normal = self._sums[:, 1] - before
-        x, y, heading = self._s[BOX : BOX + 3]
+        x, y, heading = self._state[BOX : BOX + 3]
         axis = np.array([np.cos(heading), np.sin(heading)])
         for i, name in enumerate(self.scenario.arms):
             pair = slice(2 * i, 2 * i + 2)
@@ -174,44 +176,6 @@ class DualArmModel:
             speed = max(0.0, -float(rows[:, 1].min()))
             impacts.append(Impact(self.time, name, "box", tuple(point), tuple(n), tuple(impulse), speed))
         return impacts
-
-
-def make_plant(scenario: DualArmScenario, physics: Physics) -> Plant:
-    """Collect the numbers of a true world for the compiled plant.
-
-    The table lies under the resting box and has its heading.
-
-    Args:
-        scenario: who is where.
-        physics: the drawn numbers.
-
-    Returns:
-        The plant.
-    """
-    links, joints, box, pads, table = scenario.links, scenario.joints, scenario.box, scenario.pads, scenario.table
-    sink = (physics.mass * scenario.gravity / 2.0 / table.stiffness) ** (1.0 / table.exponent)
-    x, y, heading = physics.box
-    drop = box.half_height - sink
-    floor = (x + drop * np.sin(heading), y - drop * np.cos(heading), heading)
-    contact = (table.stiffness, table.damping, table.exponent, table.friction, table.friction_slope)
-    return Plant(
-        arms=scenario.arm_numbers(),
-        limits=np.array([links.torque_limits] * 2, dtype=float),
-        joints=np.array([physics.joint_stiffness, joints.damping, joints.motor_inertia, joints.shaped_inertia]),
-        flexible=np.array([float(joints.flexible)]),
-        box=np.array([physics.mass, physics.inertia, box.half_width, box.half_height, scenario.gravity]),
-        pad=np.array(
-            [
-                links.pad_half_height,
-                physics.stiffness,
-                physics.damping,
-                pads.exponent,
-                physics.friction,
-                pads.friction_slope,
-            ]
-        ),
-        table=np.array([*floor, *contact]),
-    )
 
 
 def _interleave(pose: np.ndarray, twist: np.ndarray) -> np.ndarray:

@@ -14,35 +14,102 @@ import numpy as np
 from numba import njit
 
 from impact_envs.dual_arm.arm import L1, L2, L3, X, Y, solve_arm
+from impact_envs.dual_arm.schema import DEEPEST, DualArmScenario, Physics
 from impact_envs.physics.contact import compute_friction, compute_normal_force
 
 STATE, ARM, BOX = 30, 12, 24  # size of the state, of an arm's part, and where the box begins
 CONTACTS = 6
 GAP, GAP_RATE, SLIP_RATE, NORMAL, TANGENTIAL = range(5)  # columns of a contact
-# A pad corner deeper inside the box than this came in through another face [m].
-DEEPEST = 0.05
+
+
+class TrueSurface(NamedTuple):
+    """Compliance and friction of a surface in the true world.
+
+    Attributes:
+        stiffness: k [N/m^c].
+        damping: d [N s/m^(c+1)].
+        exponent: c.
+        friction: mu.
+        friction_slope: epsilon [s/m].
+    """
+
+    stiffness: float
+    damping: float
+    exponent: float
+    friction: float
+    friction_slope: float
 
 
 class Plant(NamedTuple):
-    """The numbers of one true world, all arrays of floats.
+    """The numbers of one true world.
 
     Attributes:
         arms: rows of `arm.make_arm`, shape (2, 14).
         limits: greatest joint torque, shape (2, 3) [N m].
-        joints: stiffness, damping, motor inertia, apparent motor inertia under the torque loop, shape (4, 3).
-        flexible: 1 with joint springs, 0 without, shape (1,).
-        box: mass, inertia, half width, half height, gravity, shape (5,).
-        pad: half height, stiffness, damping, exponent, friction, friction slope, shape (6,).
-        table: x, y and angle of the plane, stiffness, damping, exponent, friction, friction slope, shape (8,).
+        flexible: there are joint springs.
+        joint_stiffness, joint_damping: of the joint springs, shape (3,) [N m/rad], [N m s/rad].
+        motor_inertia, shaped_inertia: of the motors, and as it appears under the torque loop, shape (3,) [kg m^2].
+        box_mass, box_inertia: [kg], [kg m^2].
+        half_width, half_height: of the box [m].
+        gravity: [m/s^2].
+        pad_half_height: [m].
+        pads: the pads' surface.
+        table_pose: x, y of a point of the table's plane, its angle, shape (3,) [m], [rad].
+        table: the table's surface.
     """
 
     arms: np.ndarray
     limits: np.ndarray
-    joints: np.ndarray
-    flexible: np.ndarray
-    box: np.ndarray
-    pad: np.ndarray
-    table: np.ndarray
+    flexible: bool
+    joint_stiffness: np.ndarray
+    joint_damping: np.ndarray
+    motor_inertia: np.ndarray
+    shaped_inertia: np.ndarray
+    box_mass: float
+    box_inertia: float
+    half_width: float
+    half_height: float
+    gravity: float
+    pad_half_height: float
+    pads: TrueSurface
+    table_pose: np.ndarray
+    table: TrueSurface
+
+
+def make_plant(scenario: DualArmScenario, physics: Physics) -> Plant:
+    """Collect the numbers of a true world: the one place where the drawn physics are unpacked.
+
+    The table lies under the resting box and has its heading.
+
+    Args:
+        scenario: who is where.
+        physics: the drawn numbers.
+
+    Returns:
+        The plant.
+    """
+    links, joints, box, pads, table = scenario.links, scenario.joints, scenario.box, scenario.pads, scenario.table
+    sink = (physics.mass * scenario.gravity / 2.0 / table.stiffness) ** (1.0 / table.exponent)
+    x, y, heading = physics.box
+    drop = box.half_height - sink
+    return Plant(
+        arms=scenario.arm_numbers(),
+        limits=np.array([links.torque_limits] * 2, dtype=float),
+        flexible=joints.flexible,
+        joint_stiffness=physics.joint_stiffness,
+        joint_damping=np.array(joints.damping),
+        motor_inertia=np.array(joints.motor_inertia),
+        shaped_inertia=np.array(joints.shaped_inertia),
+        box_mass=physics.mass,
+        box_inertia=physics.inertia,
+        half_width=box.half_width,
+        half_height=box.half_height,
+        gravity=scenario.gravity,
+        pad_half_height=links.pad_half_height,
+        pads=TrueSurface(physics.stiffness, physics.damping, pads.exponent, physics.friction, pads.friction_slope),
+        table_pose=np.array([x + drop * np.sin(heading), y - drop * np.cos(heading), heading]),
+        table=TrueSurface(table.stiffness, table.damping, table.exponent, table.friction, table.friction_slope),
+    )
 
 
 @njit(cache=True)
@@ -68,13 +135,13 @@ def compute_pad_contact(
     ux, uy = vx - s[BOX + 3], vy - s[BOX + 4]
     rx, ry = c * dx + d * dy, c * dy - d * dx
     rate_x, rate_y = c * ux + d * uy + s[BOX + 5] * ry, c * uy - d * ux - s[BOX + 5] * rx
-    gap = -side * rx - plant.box[2]
-    normal = 0.0
-    if -DEEPEST < gap < 0.0 and abs(ry) <= plant.box[3]:
-        normal = compute_normal_force(gap, -side * rate_x, plant.pad[1], plant.pad[2], plant.pad[3])
+    gap = -side * rx - plant.half_width
+    normal, pads = 0.0, plant.pads
+    if -DEEPEST < gap < 0.0 and abs(ry) <= plant.half_height:
+        normal = compute_normal_force(gap, -side * rate_x, pads.stiffness, pads.damping, pads.exponent)
     contact[GAP], contact[GAP_RATE], contact[SLIP_RATE] = gap, -side * rate_x, rate_y
     contact[NORMAL] = normal
-    contact[TANGENTIAL] = compute_friction(normal, rate_y, plant.pad[4], plant.pad[5])
+    contact[TANGENTIAL] = compute_friction(normal, rate_y, pads.friction, pads.friction_slope)
 
 
 @njit(cache=True)
@@ -130,7 +197,7 @@ def move_arm(
     side = 1.0 - 2.0 * i
     c, d = math.cos(s[BOX + 2]), math.sin(s[BOX + 2])
     for k in range(2):
-        h = plant.pad[0] * (1.0 - 2.0 * k)
+        h = plant.pad_half_height * (1.0 - 2.0 * k)
         rx, ry = -h * d3, h * c3
         contact = contacts[2 * i + k]
         compute_pad_contact(plant, s, side, x + rx, y + ry, vx - w3 * ry, vy + w3 * rx, contact)
@@ -146,8 +213,8 @@ def move_arm(
         ds[n + j] = s[n + 3 + j]
         ds[n + 6 + j] = 0.0
         ds[n + 9 + j] = 0.0
-    if plant.flexible[0] > 0.0:
-        K, D, B, shaped = plant.joints[0], plant.joints[1], plant.joints[2], plant.joints[3]
+    if plant.flexible:
+        K, D, B, shaped = plant.joint_stiffness, plant.joint_damping, plant.motor_inertia, plant.shaped_inertia
         t1 = K[0] * (s[n + 6] - s[n]) + D[0] * (s[n + 9] - s[n + 3])
         t2 = K[1] * (s[n + 7] - s[n + 1]) + D[1] * (s[n + 10] - s[n + 4])
         t3 = K[2] * (s[n + 8] - s[n + 2]) + D[2] * (s[n + 11] - s[n + 5])
@@ -172,16 +239,18 @@ def support_box(plant: Plant, s: np.ndarray, contacts: np.ndarray, force: np.nda
         force: on the box, added to, shape (3,) [N, N m].
     """
     c, d = math.cos(s[BOX + 2]), math.sin(s[BOX + 2])
-    tx, ty = math.cos(plant.table[2]), math.sin(plant.table[2])
+    table_x, table_y, angle = plant.table_pose[0], plant.table_pose[1], plant.table_pose[2]
+    tx, ty = math.cos(angle), math.sin(angle)
+    table = plant.table
     for k in range(2):
-        bx, by = (2.0 * k - 1.0) * plant.box[2], -plant.box[3]
+        bx, by = (2.0 * k - 1.0) * plant.half_width, -plant.half_height
         rx, ry = c * bx - d * by, d * bx + c * by
         px, py = s[BOX] + rx, s[BOX + 1] + ry
         vx, vy = s[BOX + 3] - s[BOX + 5] * ry, s[BOX + 4] + s[BOX + 5] * rx
-        gap = tx * (py - plant.table[1]) - ty * (px - plant.table[0])
+        gap = tx * (py - table_y) - ty * (px - table_x)
         rate, slip = tx * vy - ty * vx, tx * vx + ty * vy
-        normal = compute_normal_force(gap, rate, plant.table[3], plant.table[4], plant.table[5])
-        tangential = compute_friction(normal, slip, plant.table[6], plant.table[7])
+        normal = compute_normal_force(gap, rate, table.stiffness, table.damping, table.exponent)
+        tangential = compute_friction(normal, slip, table.friction, table.friction_slope)
         contact = contacts[4 + k]
         contact[GAP], contact[GAP_RATE], contact[SLIP_RATE] = gap, rate, slip
         contact[NORMAL], contact[TANGENTIAL] = normal, tangential
@@ -210,9 +279,9 @@ def compute_derivative(
     support_box(plant, s, contacts, force)
     for j in range(3):
         ds[BOX + j] = s[BOX + 3 + j]
-    ds[BOX + 3] = force[0] / plant.box[0]
-    ds[BOX + 4] = force[1] / plant.box[0] - plant.box[4]
-    ds[BOX + 5] = force[2] / plant.box[1]
+    ds[BOX + 3] = force[0] / plant.box_mass
+    ds[BOX + 4] = force[1] / plant.box_mass - plant.gravity
+    ds[BOX + 5] = force[2] / plant.box_inertia
 
 
 @njit(cache=True)

@@ -12,10 +12,26 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from impact_envs.dual_arm.arm import make_arm, solve_inverse_kinematics
+from impact_envs.dual_arm.stability import compute_inverse_masses, find_contact_step, find_stiffest_joint
 from impact_envs.errors import InputError
-from impact_envs.scenario import Box, Finite, NonNegative, Positive, Quantity, Scenario, Table, Uniform, Vector, draw
+from impact_envs.scenario import (
+    SMALLEST,
+    Box,
+    Finite,
+    NonNegative,
+    Positive,
+    Quantity,
+    Scenario,
+    Table,
+    Uniform,
+    Vector,
+    draw,
+)
 from impact_envs.stl import SIGNALS
 
+MOST_STEPS = 10_000  # of the integration in a control period
+# A pad corner deeper inside the box than this came in through another face [m].
+DEEPEST = 0.05
 Three = tuple[Positive, Positive, Positive]
 # Signals of an arm, beside its pad's motion, and of the box, which has the worst of both arms. In the last control
 # period: least and greatest normal force at the pads' corners [N], greatest joint torque, greatest change of a joint
@@ -113,8 +129,8 @@ class Truth(Table):
     @model_validator(mode="after")
     def _limits(self) -> Self:
         for name in ("mass_scale", "stiffness_scale", "joint_stiffness_scale"):
-            if find_smallest(getattr(self, name)) <= 0:
-                raise ValueError(f"{name} must be above 0")
+            if find_smallest(getattr(self, name)) < SMALLEST:
+                raise ValueError(f"{name} must be above 0, and not below {SMALLEST:g}")
         return self
 
 
@@ -279,14 +295,54 @@ class DualArmScenario(Scenario):
         ):
             if not math.isclose(round(long / short) * short, long, rel_tol=1e-9):
                 raise ValueError(f"{name} = {short:g} does not divide {long:g} into whole parts")
+        if self.control_period > MOST_STEPS * self.physics_step * (1 + 1e-9):
+            raise ValueError(
+                f"physics_step = {self.physics_step:g}: a control period {self.control_period:g} has more than "
+                f"{MOST_STEPS} of them"
+            )
         true = self.pads.friction if self.true.friction is None else find_smallest(self.true.friction)
         if not self.believed.friction <= true:
             raise ValueError(
                 f"believed.friction = {self.believed.friction:g} is above the pads' true friction {true:g}: "
                 "forces inside the believed cone would slip"
             )
+        self._check_step()
         self._check_places()
         return self
+
+    def _check_step(self) -> None:
+        """Raise unless the springs of joints and contacts are stable under the integration step, in every draw."""
+        true, joints, box, pads, table = self.true, self.joints, self.box, self.pads, self.table
+        found: list[tuple[float, str]] = []
+        try:
+            inverse, pad = compute_inverse_masses(self.arm_numbers()[0])
+            if joints.flexible:
+                stiffness, damping = np.array(joints.stiffness), np.array(joints.damping)
+                for scale in compute_corners(true.joint_stiffness_scale).ravel():
+                    j, step = find_stiffest_joint(inverse, scale * stiffness, damping, np.array(joints.shaped_inertia))
+                    named = f"joints.stiffness[{j}] = {stiffness[j]:g} with joints.damping[{j}] = {damping[j]:g}"
+                    found.append((step, named))
+        except np.linalg.LinAlgError:
+            raise ValueError("links: masses, inertias and lengths are too far apart to be simulated") from None
+        # Two corners push together: they move what they touch twice as hard as one, or one alone also turns the box.
+        press = max(self.links.torque_limits) / min(self.links.lengths)
+        for mass, scale in compute_corners(true.mass_scale, true.stiffness_scale):
+            move = 1.0 / (mass * box.mass)
+            turn_pads, turn_table = (r**2 / (mass * box.inertia) for r in (box.half_height, box.half_width))
+            k = scale * pads.stiffness
+            depth = min(DEEPEST, (press / k) ** (1.0 / pads.exponent))
+            step = find_contact_step(
+                pad + move + max(pad + move, turn_pads), k, scale * pads.damping, pads.exponent, depth
+            )
+            found.append((step, f"pads.stiffness = {pads.stiffness:g} with pads.damping = {pads.damping:g}"))
+            depth = (mass * box.mass * self.gravity / 2.0 / table.stiffness) ** (1.0 / table.exponent)
+            step = find_contact_step(
+                move + max(move, turn_table), table.stiffness, table.damping, table.exponent, depth
+            )
+            found.append((step, f"table.stiffness = {table.stiffness:g} with table.damping = {table.damping:g}"))
+        longest, named = min(found)
+        if self.tick / self.substeps > longest:
+            raise ValueError(f"physics_step = {self.physics_step:g}: {named} is stable up to {longest:.2g}")
 
     def _check_places(self) -> None:
         """Raise unless all poses are in reach and the pads outside the box, also for the extreme draws."""

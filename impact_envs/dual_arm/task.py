@@ -125,12 +125,12 @@ class DualArmTask:
         x, y, heading = box.start.array
         c, d = math.cos(heading), math.sin(heading)
         top = -box.half_height
-        slab = _rectangle(-2.0 * box.half_width, top - TABLE_DEPTH, 2.0 * box.half_width, top)
+        slab = _make_rectangle(-2.0 * box.half_width, top - TABLE_DEPTH, 2.0 * box.half_width, top)
         table = Shape(
             None, "obstacle", vertices=tuple((x + c * u - d * v, y + d * u + c * v) for u, v in slab), label="table"
         )
-        sides = _rectangle(-box.half_width, -box.half_height, box.half_width, box.half_height)
-        pads = [Shape(n, "robot", vertices=_rectangle(-PAD_DEPTH, -pad, 0.0, pad), label=n) for n in scenario.arms]
+        sides = _make_rectangle(-box.half_width, -box.half_height, box.half_width, box.half_height)
+        pads = [Shape(n, "robot", vertices=_make_rectangle(-PAD_DEPTH, -pad, 0.0, pad), label=n) for n in scenario.arms]
         return (*regions, table, Shape("box", "object", vertices=sides, label="box"), *pads)
 
     def chains(self, states: np.ndarray) -> dict[str, np.ndarray]:
@@ -153,5 +153,5 @@ class DualArmTask:
         return chains
 
 
-def _rectangle(x0: float, y0: float, x1: float, y1: float) -> tuple[tuple[float, float], ...]:
+def _make_rectangle(x0: float, y0: float, x1: float, y1: float) -> tuple[tuple[float, float], ...]:
     return ((x0, y0), (x1, y0), (x1, y1), (x0, y1))

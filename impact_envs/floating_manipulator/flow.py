@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from impact_envs.floating_manipulator.contact import Contact, compute_contact
+from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
 from impact_envs.physics.multibody import (
     Chain,
     compute_bias,
@@ -64,6 +65,27 @@ class Scratch(NamedTuple):
     v_stage: np.ndarray
     q_next: np.ndarray
     v_next: np.ndarray
+
+
+def make_system(scenario: FloatingManipulatorScenario, physics: Physics) -> System:
+    """Collect the numbers of a true world that moves: the one place where the drawn masses are unpacked.
+
+    Args:
+        scenario: sizes of box and tip.
+        physics: the drawn numbers.
+
+    Returns:
+        The system.
+    """
+    length, width = scenario.box.size
+    return System(
+        chain=physics.chain,
+        box_mass=physics.box_mass,
+        box_inertia=physics.box_inertia,
+        half_length=length / 2,
+        half_width=width / 2,
+        radius=scenario.load.radius,
+    )
 
 
 def make_scratch(joints: int) -> Scratch:

@@ -12,14 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_envs.errors import InputError, choices
+from impact_envs.failure import TooManyEvents
 from impact_envs.floating_manipulator.actuation import compute_forces
 from impact_envs.floating_manipulator.events import FLOWN, HIT, advance_to_event
 from impact_envs.floating_manipulator.flow import (
-    System,
     compute_opening,
     compute_rows,
     find_contact,
     make_scratch,
+    make_system,
 )
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
 from impact_envs.physics.impact import (
@@ -41,7 +42,7 @@ from impact_envs.physics.multibody import (
 
 # An impact slower than this [m/s], or whose rebound would end within this time [s], is the start of pushing.
 LOW_SPEED, CONTACT_TIME = 1e-6, 0.005
-EVENTS = 1000  # in one control period; more means the rule above has failed
+EVENTS = 20_000  # in one control period; more means the rule above has failed
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +99,7 @@ class FloatingManipulatorModel:
         """
         scenario, n = self.scenario, self._n
         self.physics = physics
-        length, width = scenario.box.size
-        self._system = System(
-            physics.chain, physics.box_mass, physics.box_inertia, length / 2, width / 2, scenario.load.radius
-        )
+        self._system = make_system(scenario, physics)
         self._q, self._v = np.concatenate([scenario.start, physics.box_start]), np.zeros(n + 6)
         self._force = np.zeros(n + 6)
         self._touching = False
@@ -171,6 +169,7 @@ class FloatingManipulatorModel:
 
         Raises:
             InputError: an agent without control, an unknown one, or a control of wrong shape or not finite.
+            TooManyEvents: impacts do not end.
         """
         agents = self.scenario.agents
         if controls.keys() != set(agents):
@@ -187,19 +186,19 @@ class FloatingManipulatorModel:
         """Return P_x, P_y and L about the world's origin of manipulator and box, shape (2, 3) [N s], [N m s]."""
         q, v = self._q, self._v
         w, rates = self._scratch.w, self._scratch.rates
-        compute_directions(self.physics.chain, q, v, w, rates)
-        m = self.physics.box_mass
+        compute_directions(self._system.chain, q, v, w, rates)
+        m = self._system.box_mass
         (x, y, _), (vx, vy, omega) = q[-3:], v[-3:]
-        box = (m * vx, m * vy, self.physics.box_inertia * omega + m * (x * vy - y * vx))
-        return np.array([compute_momenta(self.physics.chain, q[:-3], v[:-3], w, rates), box])
+        box = (m * vx, m * vy, self._system.box_inertia * omega + m * (x * vy - y * vx))
+        return np.array([compute_momenta(self._system.chain, q[:-3], v[:-3], w, rates), box])
 
     def energies(self) -> np.ndarray:
         """Return the kinetic energies of manipulator and box, shape (2,) [J]."""
         w, rates = self._scratch.w, self._scratch.rates
-        compute_directions(self.physics.chain, self._q, self._v, w, rates)
+        compute_directions(self._system.chain, self._q, self._v, w, rates)
         vx, vy, omega = self._v[-3:]
-        box = (self.physics.box_mass * (vx**2 + vy**2) + self.physics.box_inertia * omega**2) / 2
-        return np.array([compute_kinetic_energy(self.physics.chain, self._v[:-3], w, rates), box])
+        box = (self._system.box_mass * (vx**2 + vy**2) + self._system.box_inertia * omega**2) / 2
+        return np.array([compute_kinetic_energy(self._system.chain, self._v[:-3], w, rates), box])
 
     def _actuate(self, controls: Mapping[str, np.ndarray]) -> None:
         """Compute the forces held over the next control period from the commands."""
@@ -223,7 +222,7 @@ class FloatingManipulatorModel:
             self._touching = False
             if event == HIT:
                 self._collide(self.time + t)
-        raise RuntimeError(f"more than {EVENTS} events in the control period at {self.time:g} s")
+        raise TooManyEvents(EVENTS)
 
     def _collide(self, time: float) -> None:
         """Apply an impact to the velocities, or start to push."""
@@ -234,27 +233,27 @@ class FloatingManipulatorModel:
         physics = self.physics
         e = compute_restitution(speed, physics.restitution, physics.restitution_speed) if rebounds else 0.0
         normal = np.array([-contact.nx, -contact.ny])
-        tip, box = self._sides(np.array([contact.rx, contact.ry]))
+        tip, box = self._make_sides(np.array([contact.rx, contact.ry]))
         impulse = compute_impulse(normal, tip, box, e) * normal
         self._v[:-3], self._v[-3:] = apply_impulse(tip, -impulse), apply_impulse(box, impulse)
         self._touching = not rebounds and press > 0.0
         if rebounds:
             point = self._q[-3] + contact.rx, self._q[-2] + contact.ry
-            impact = Impact(time, "tip", "box", _pair(point), _pair(normal), _pair(impulse), float(speed))
+            impact = Impact(time, "tip", "box", _as_pair(point), _as_pair(normal), _as_pair(impulse), float(speed))
             q, v = self._q.copy(), self._v.copy()
             self.collisions.append(
                 Collision(impact, q[:-3], tip.velocity, v[:-3], q[-3:], box.velocity, v[-3:]),
             )
 
-    def _sides(self, arm: np.ndarray) -> tuple[Side, Side]:
+    def _make_sides(self, arm: np.ndarray) -> tuple[Side, Side]:
         """Return manipulator and box as the impact law sees them."""
-        n, chain = self._n, self.physics.chain
+        n, chain = self._n, self._system.chain
         w, rates = self._scratch.w, self._scratch.rates
         compute_directions(chain, self._q, self._v, w, rates)
         M, J = np.zeros((n + 3, n + 3)), np.zeros((2, n + 3))
         compute_mass_matrix(chain, w, M)
         compute_jacobian(w, chain.levers[-1], J)
-        masses = np.diag([self.physics.box_mass, self.physics.box_mass, self.physics.box_inertia])
+        masses = np.diag([self._system.box_mass, self._system.box_mass, self._system.box_inertia])
         return Side(J, M, self._v[:-3].copy()), Side(compute_planar_jacobian(arm), masses, self._v[-3:].copy())
 
 
@@ -267,5 +266,5 @@ def _check_control(agent: str, control: np.ndarray, size: int) -> np.ndarray:
     return values
 
 
-def _pair(vector: Sequence[float] | np.ndarray) -> tuple[float, float]:
+def _as_pair(vector: Sequence[float] | np.ndarray) -> tuple[float, float]:
     return float(vector[0]), float(vector[1])

@@ -14,10 +14,13 @@ from pydantic import Field, model_validator
 
 from impact_envs.errors import InputError, choices
 from impact_envs.floating_manipulator.contact import compute_contact
+from impact_envs.floating_manipulator.stability import find_longest_period
 from impact_envs.physics.multibody import Chain, compute_directions, compute_point, make_chain
 from impact_envs.scenario import (
+    SMALLEST,
     Box,
     Finite,
+    Name,
     NonNegative,
     Positive,
     Quantity,
@@ -131,8 +134,8 @@ class Truth(Table):
     def _limits(self) -> Self:
         for name in type(self).model_fields:
             low = _range(getattr(self, name))[0]
-            if name.endswith("_scale") and low <= 0:
-                raise ValueError(f"{name} must be above 0")
+            if name.endswith("_scale") and low < SMALLEST:
+                raise ValueError(f"{name} must be above 0, and not below {SMALLEST:g}")
             if name in ("restitution", "restitution_speed", "thruster_gain") and low < 0:
                 raise ValueError(f"{name} must not be negative")
         if isinstance(self.restitution, Uniform) and self.restitution.uniform[1] > 1:
@@ -186,7 +189,7 @@ class FloatingManipulatorScenario(Scenario):
     thrusters: Thrusters | None = None
     wheel: Motor | None = None  # acts on the base as an external torque, as in the paper
     safety_pause: NonNegative = 0.0  # after an impact, without control of the tip [s]
-    requirements: dict[str, str] = {}  # additional formulas, by name, that are evaluated for every episode
+    requirements: dict[Name, str] = {}  # additional formulas, by name, that are evaluated for every episode
     believed: Believed
     true: Truth = Truth()
 
@@ -258,8 +261,8 @@ class FloatingManipulatorScenario(Scenario):
             scale: factor in (0, 1] for tighter tasks.
         """
         bare = Scenario.shorten(self.override({"requirements": {}}), scale)
-        factor = bare.horizon / self.horizon
-        return bare.override({"requirements": {name: str(f.scale_time(factor)) for name, f in self.required.items()}})
+        required = {name: self._shorten_formula(formula, bare.horizon) for name, formula in self.required.items()}
+        return bare.override({"requirements": required})
 
     def as_believed(self) -> Self:
         """Return the scenario as the expert sees it: the true physics are the believed ones."""
@@ -323,6 +326,7 @@ class FloatingManipulatorScenario(Scenario):
                 raise ValueError(f"links: '{name}' names another part; those are {', '.join(PARTS)}")
         if self.arm.joints is not None and len(self.arm.joints) != len(self.links):
             raise ValueError(f"arm.joints has {len(self.arm.joints)} angles for {len(self.links)} links")
+        self._check_motors()
         self._check_formulas()
         gap, room = self._start_gap(), self._box_room()
         if gap <= 0:
@@ -330,6 +334,25 @@ class FloatingManipulatorScenario(Scenario):
         if gap <= room:
             raise ValueError(f"true: offsets of the box reach {room:.3g} m, the tip starts {gap:.3g} m from it")
         return self
+
+    def _check_motors(self) -> None:
+        """Raise unless motors that hold their torque over a control period brake in every draw."""
+        true, motors = self.true, [self.wheel, *self.links.values()]
+        stall, speed = _range(true.stall_torque_scale)[1], _range(true.no_load_speed_scale)[0]
+        damping = [motor.stall_torque / motor.no_load_speed if motor else 0.0 for motor in motors]
+        damping[1:] = [stall / speed * drop for drop in damping[1:]]
+        try:
+            chain = self.chain(_range(true.base_mass_scale)[0], _range(true.load_mass_scale)[0])
+            motor, longest = find_longest_period(chain, np.array(damping))
+        except np.linalg.LinAlgError:
+            raise ValueError("links: masses, inertias and lengths are too far apart to be simulated") from None
+        if self.control_period > longest:
+            name, worst = ["wheel", *(f"links.{name}" for name in self.links)][motor], motors[motor]
+            assert worst is not None
+            raise ValueError(
+                f"control_period = {self.control_period:g}: {name}.stall_torque = {worst.stall_torque:g} with "
+                f"{name}.no_load_speed = {worst.no_load_speed:g} is stable up to {longest:.2g}"
+            )
 
     def _check_formulas(self) -> None:
         """Raise unless the formulas use known signals and times up to the horizon."""

@@ -76,7 +76,7 @@ class FloatingManipulatorTask:
         self._hit: float | None = None
         self._rng = rng
         self._measured: deque[tuple[np.ndarray, bool]] = deque(maxlen=self.scenario.true.delay_steps + 1)
-        self._take(states, False)
+        self._store_sample(states, False)
 
     def controls(self, actions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Scale actions to commanded torques and forces [N m], [N]."""
@@ -106,7 +106,7 @@ class FloatingManipulatorTask:
             impacts: impacts of the last control period.
         """
         felt = select_felt(impacts)
-        self._take(states, bool(felt))
+        self._store_sample(states, bool(felt))
         self._samples += 1
         self._impulse = sum(math.hypot(*impact.impulse) for impact in impacts)
         if felt:
@@ -162,31 +162,31 @@ class FloatingManipulatorTask:
         """Return regions, goal, box, base and arm as shapes, in drawing order; links have no label and no trail."""
         scenario = self.scenario
         areas = [Shape(None, "region", vertices=a.corners, label=n) for n, a in scenario.regions.items()]
-        box = Shape("box", "object", vertices=_rectangle(*scenario.box.size), label="box")
-        base = Shape("base", "robot", vertices=_rectangle(*scenario.base.size), label="base")
+        box = Shape("box", "object", vertices=_make_rectangle(*scenario.box.size), label="box")
+        base = Shape("base", "robot", vertices=_make_rectangle(*scenario.base.size), label="base")
         links = [
-            Shape(name, "robot", vertices=_bar(link.center_of_mass, link.length))
+            Shape(name, "robot", vertices=_make_bar(link.center_of_mass, link.length))
             for name, link in scenario.links.items()
         ]
-        tip = Shape("tip", "robot", vertices=_disc(0.0, 0.0, scenario.load.radius), label="tip")
-        return (*areas, *self._goal(), box, base, *links, tip)
+        tip = Shape("tip", "robot", vertices=_make_disc(0.0, 0.0, scenario.load.radius), label="tip")
+        return (*areas, *self._goal_shapes(), box, base, *links, tip)
 
     def chains(self, states: np.ndarray) -> dict[str, np.ndarray]:
         """Return nothing: the links are shapes."""
         return {}
 
-    def _goal(self) -> list[Shape]:
+    def _goal_shapes(self) -> list[Shape]:
         """Return the goal as discs whose radii are the formula's bounds on the distance of tip and target."""
         x, y = self.scenario.arm.goal
         asked = [p for p in self.scenario.specification.walk() if isinstance(p, Distance)]
         radii = sorted({p.bound for p in asked if set(p.bodies()) == {"tip", "target"}}, reverse=True)
         labels = ["goal"] + max(len(radii) - 1, 0) * [""]
         return [
-            Shape(None, "region", vertices=_disc(x, y, radius), label=label)
+            Shape(None, "region", vertices=_make_disc(x, y, radius), label=label)
             for radius, label in zip(radii, labels, strict=False)
         ]
 
-    def _take(self, states: np.ndarray, contact: bool) -> None:
+    def _store_sample(self, states: np.ndarray, contact: bool) -> None:
         """Store the true coordinates of the manipulator, and the measurement that is observed after the delay."""
         n = self._n
         self._q, self._v = np.empty(n + 3), np.empty(n + 3)
@@ -200,12 +200,12 @@ class FloatingManipulatorTask:
         self._measured.append((measured, contact))
 
 
-def _rectangle(length: float, width: float) -> tuple[tuple[float, float], ...]:
+def _make_rectangle(length: float, width: float) -> tuple[tuple[float, float], ...]:
     a, b = length / 2, width / 2
     return ((-a, -b), (a, -b), (a, b), (-a, b))
 
 
-def _bar(center: float, length: float) -> tuple[tuple[float, float], ...]:
+def _make_bar(center: float, length: float) -> tuple[tuple[float, float], ...]:
     """Return a link as drawn, from its centre of mass: round at its joint, pointed at its end."""
     b, end = LINK_WIDTH / 2, length - center
     angles = np.linspace(math.pi / 2, 3 * math.pi / 2, 9).tolist()
@@ -213,6 +213,6 @@ def _bar(center: float, length: float) -> tuple[tuple[float, float], ...]:
     return (*joint, (end - b, -b), (end, 0.0), (end - b, b))
 
 
-def _disc(x: float, y: float, radius: float) -> tuple[tuple[float, float], ...]:
+def _make_disc(x: float, y: float, radius: float) -> tuple[tuple[float, float], ...]:
     angles = 2 * math.pi * np.arange(32) / 32
     return tuple((x + radius * math.cos(angle), y + radius * math.sin(angle)) for angle in angles)

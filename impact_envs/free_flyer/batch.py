@@ -12,6 +12,8 @@ import numpy as np
 from impact_envs.compiled import announce
 from impact_envs.domain import load_attribute
 from impact_envs.errors import InputError
+from impact_envs.failure import NotFinite, TooManyEvents, check_finite
+from impact_envs.free_flyer.pair import EVENTS
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.free_flyer.sensing import compute_memory_size, count_uniforms, make_sensing
 from impact_envs.free_flyer.step import (
@@ -27,6 +29,7 @@ from impact_envs.free_flyer.step import (
 from impact_envs.free_flyer.task import SIGNALS, FreeFlyerTask
 from impact_envs.free_flyer.worlds import (
     HITS,
+    LOST,
     OVERFLOW,
     ROW,
     STEPS,
@@ -46,6 +49,8 @@ class BatchViews:
     _worlds: Any
     _memory: Any
     _last: int
+    count: int
+    scenario: FreeFlyerScenario
 
     @property
     def steps(self) -> Any:
@@ -59,7 +64,7 @@ class BatchViews:
 
     @property
     def overflow(self) -> Any:
-        """Return how many control periods since reset had more events than are followed, shape (N,)."""
+        """Return 1 where the events of the last control period did not end, shape (N,)."""
         return self._worlds.counter[:, OVERFLOW]
 
     @property
@@ -73,9 +78,27 @@ class BatchViews:
         return self._memory.states
 
     @property
+    def failed(self) -> Any:
+        """Return which worlds cannot be followed any further, shape (N,)."""
+        return self._worlds.counter[:, OVERFLOW] + self._worlds.counter[:, LOST] > 0
+
+    @property
     def over(self) -> Any:
         """Return which episodes are at their end, shape (N,)."""
-        return self.steps >= self._last
+        return (self.steps >= self._last) | self.failed
+
+    def describe_failures(self) -> np.ndarray:
+        """Return why each world failed, "" where it did not, shape (N,) of texts."""
+        texts = np.full(self.count, "", dtype=object)
+        for k in np.flatnonzero(self.failed.tolist()).tolist():
+            if self._worlds.counter[k, LOST] == 0:
+                texts[k] = str(TooManyEvents(EVENTS))
+                continue
+            try:
+                check_finite(np.array(self._worlds.state[k, :, :6].tolist()), self.scenario.bodies)
+            except NotFinite as failure:
+                texts[k] = str(failure)
+        return texts
 
 
 class Batch(BatchViews):

@@ -7,9 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from impact_envs.compiled import announce
+from impact_envs.failure import TooManyEvents
 from impact_envs.free_flyer.command import read_commands
-from impact_envs.free_flyer.engine import EVENTS, step_alone
+from impact_envs.free_flyer.engine import step_alone
 from impact_envs.free_flyer.model import FreeFlyerModel
+from impact_envs.free_flyer.pair import EVENTS
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
 from impact_envs.free_flyer.worlds import (
     HITS,
@@ -72,11 +74,6 @@ class DiscModel:
         """Return the time since reset [s]."""
         return int(self._worlds.counter[0, STEPS]) * self.scenario.control_period
 
-    @property
-    def overflow(self) -> int:
-        """Return how many control periods since reset had more events than are followed; 0 unless rules failed."""
-        return int(self._worlds.counter[0, OVERFLOW])
-
     def state(self) -> np.ndarray:
         """Return the state of all bodies (see ``FreeFlyerModel.state``), shape (bodies, 6)."""
         return self._states[0].copy()
@@ -103,9 +100,12 @@ class DiscModel:
         Raises:
             InputError: a robot without control, an unknown robot, or a control that is not three finite
                 numbers.
+            TooManyEvents: impacts do not end.
         """
         held = read_commands(controls, self._robots, self._limits, "control")
         step_alone(*self._arrays, held, self._states)
+        if self._worlds.counter[0, OVERFLOW]:
+            raise TooManyEvents(EVENTS)
         hits = int(self._worlds.counter[0, HITS])
         return [self._impact(row) for row in self._log[0, :hits].tolist()] if hits else []
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from impact_envs.compiled import compiled, inlined
 from impact_envs.free_flyer.hits import hit
-from impact_envs.free_flyer.pair import CONTACT_STEP, REST_GAP, SIMULTANEOUS
+from impact_envs.free_flyer.pair import CONTACT_STEP, EVENTS, REST_GAP, SIMULTANEOUS
 from impact_envs.free_flyer.resting import clear_rest, find_resting, hold
 from impact_envs.free_flyer.schema import DRIFT_X, DRIFT_Y, INERTIA, MASS, OFFSET_X, OFFSET_Y
 from impact_envs.free_flyer.touch import find_touch
@@ -40,8 +40,6 @@ from impact_envs.free_flyer.worlds import (
     read_states,
 )
 
-# In one control period; more count as overflow, and the bodies stand still for the rest of it.
-EVENTS = 1000
 AVERAGED = 1.0 - 1e-9  # time over which an object that keeps its velocity averages it after an impact [s]
 KEEPING = 0.5  # w of the law by which it does [rad/s]
 

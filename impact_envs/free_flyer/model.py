@@ -14,10 +14,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from impact_envs.errors import InputError, choices
+from impact_envs.failure import TooManyEvents
 from impact_envs.free_flyer.body import Body, make_obstacle, make_walls
 from impact_envs.free_flyer.lasting_contact import ContactSolver
 from impact_envs.free_flyer.pair import (
     CONTACT_STEP,
+    EVENTS,
     GRAZE,
     LOW_SPEED,
     PART_SPEED,
@@ -46,8 +48,6 @@ from impact_envs.free_flyer.schema import (
 )
 from impact_envs.physics.convex import Contact
 from impact_envs.physics.impact import Impact, compute_restitution, is_rebound, solve_contacts
-
-EVENTS = 20_000  # in one control period; more means the rules above have failed
 
 Pair = tuple[int, int]
 
@@ -137,6 +137,7 @@ class FreeFlyerModel:
         Raises:
             InputError: a robot without control, an unknown robot, or a control that is not three finite
                 numbers.
+            TooManyEvents: impacts do not end.
         """
         if controls.keys() != self._robots.keys():
             wrong = ", ".join(sorted(controls.keys() ^ self._robots.keys()))
@@ -218,7 +219,7 @@ class FreeFlyerModel:
                 body.ax, body.ay, body.alpha = acceleration
             if t >= period:
                 return impacts
-        raise RuntimeError(f"more than {EVENTS} events in the control period at {self.time:g} s")
+        raise TooManyEvents(EVENTS)
 
     def _near_pairs(self, h: float) -> list[Pair]:
         """Return the pairs that could touch within h (circles round the bodies, grown by their motion)."""

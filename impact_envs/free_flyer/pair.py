@@ -11,6 +11,8 @@ from impact_envs.free_flyer.body import Body
 from impact_envs.physics.convex import Contact, compute_contact
 from impact_envs.physics.time_of_impact import find_crossing, find_disc_impact, find_face_impact
 
+# More in one control period, and the rules below have failed: the episode ends (see `failure`).
+EVENTS = 20_000
 # Lasting contacts hold their forces for this long [s].
 CONTACT_STEP = 0.01
 # An impact that is slower than this [m/s], or whose rebound would end within a contact step, is the start of a lasting

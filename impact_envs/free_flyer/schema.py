@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from impact_envs.scenario import (
+    SMALLEST,
     Box,
     Finite,
     NonNegative,
@@ -60,7 +61,7 @@ class Body(Table):
     inertia: Positive  # about the centre of mass [kg m^2]
     radius: Positive  # of the disc, or of the circle round the polygon [m]
     speed_limit: Positive  # per axis [m/s]
-    curves: Annotated[int, Field(ge=1)] | None = None  # of the published encoding; unset: its own numbers
+    curves: Annotated[int, Field(ge=1, le=100)] | None = None  # of the published encoding; unset: its own numbers
 
 
 class Robot(Body):
@@ -133,8 +134,8 @@ def _at_least_zero(quantity: Quantity) -> Quantity:
 
 
 def _above_zero(quantity: Quantity) -> Quantity:
-    if smallest(quantity) <= 0:
-        raise ValueError("must be above 0")
+    if smallest(quantity) < SMALLEST:
+        raise ValueError(f"must be above 0, and not below {SMALLEST:g}")
     return quantity
 
 
@@ -162,9 +163,9 @@ class Truth(Table):
     restitution_speed: Annotated[Size, Drawn()] = 0.0  # v_e of e(v) = restitution exp(-v / v_e) [m/s]; 0 = constant
     center_of_mass_offset: Annotated[Size, Drawn("object", (ANGLE,))] = 0.0  # in a random body direction [m]
     drift: Annotated[Size, Drawn("object", (ANGLE,))] = 0.0  # constant acceleration, random direction [m/s^2]
-    thruster_gain: Annotated[Quantity, Drawn("robot")] = 1.0  # true over commanded force
+    thruster_gain: Annotated[Size, Drawn("robot")] = 1.0  # true over commanded force
     # Further gain of one thruster: of a random robot, along x or y, positive or negative.
-    weak_thruster: Annotated[Quantity, Drawn("world", (SHARE, SHARE, SHARE))] = 1.0
+    weak_thruster: Annotated[Size, Drawn("world", (SHARE, SHARE, SHARE))] = 1.0
     # An object starts anywhere in its box of start_uncertainty: 1 in all of it, 0 at its centre.
     start_spread: Annotated[Share, Drawn("object", (SIDE, SIDE), spare=True)] = 0.0
 

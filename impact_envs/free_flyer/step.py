@@ -21,7 +21,10 @@ from impact_envs.free_flyer.sensing import (
 from impact_envs.free_flyer.worlds import (
     FELT,
     HELD,
+    HITS,
     LIMIT,
+    LOST,
+    OVERFLOW,
     OWED,
     STEPS,
     Arena,
@@ -115,6 +118,11 @@ def step_task(
             u = min(max(float(actions[k, i, channel]), -1.0), 1.0)
             scratch.motion[c, i, HELD + channel] = u * arena.discs[i, LIMIT + channel]
     step_world(arena, worlds, scratch, log, c, k)
+    if not is_finite(worlds, k):
+        worlds.counter[k, LOST], worlds.counter[k, OVERFLOW] = 1, 0
+    if worlds.counter[k, OVERFLOW] + worlds.counter[k, LOST] > 0:
+        fail_task(arena, worlds, sensing, rules, memory, output, k, actions)
+        return
     read_states(worlds, k, memory.states)
     for i in range(arena.robots):
         memory.contacts[k, i] = 1.0 if worlds.state[k, i, FELT] > FELT_SPEED else 0.0
@@ -128,6 +136,37 @@ def step_task(
 
 
 @inlined
+def is_finite(worlds: Worlds, k: int) -> bool:
+    """Return whether all states of world k are finite numbers."""
+    total = 0.0
+    for i in range(worlds.state.shape[1]):
+        for column in range(6):
+            total += 0.0 * worlds.state[k, i, column]
+    return total == 0.0
+
+
+@inlined
+def fail_task(
+    arena: Arena,
+    worlds: Worlds,
+    sensing: Sensing,
+    rules: Rules,
+    memory: Memory,
+    output: Output,
+    k: int,
+    actions: np.ndarray,
+) -> None:
+    """End the episode of world k, whose motion cannot be followed: least robustness, the last sample observed."""
+    before = memory.bounds[k, 0], memory.bounds[k, 1]
+    memory.bounds[k, 0] = memory.bounds[k, 1] = -rules.diagonal
+    team = compute_team_reward(before, (-rules.diagonal, -rules.diagonal), True)
+    for i in range(arena.robots):
+        output.rewards[k, i] = compute_reward(team, arena.robots, compute_effort(actions[k, i]))
+    worlds.counter[k, HITS] = 0
+    show(worlds, sensing, rules, memory, output, k)
+
+
+@inlined
 def start_task(
     worlds: Worlds,
     formula: CompiledFormula,
@@ -138,7 +177,7 @@ def start_task(
     k: int,
 ) -> None:
     """Start an episode in world k, whose physics are drawn."""
-    for column in range(3):
+    for column in range(worlds.counter.shape[1]):
         worlds.counter[k, column] = 0
     for i in range(worlds.state.shape[1]):
         worlds.state[k, i, FELT] = 0.0
@@ -166,14 +205,13 @@ def watch(formula: CompiledFormula, rules: Rules, memory: Memory, k: int, count:
 @inlined
 def observe(worlds: Worlds, sensing: Sensing, rules: Rules, memory: Memory, output: Output, k: int) -> None:
     """Take the sensors' sample of world k and write its observations."""
-    steps = worlds.counter[k, STEPS]
     for i in range(memory.uniforms.shape[1]):
         memory.uniforms[k, i] = next_double(memory.streams, k)
     if memory.uniforms.shape[1] + memory.samples.shape[1] > 0:
         take_sample(
             sensing,
             k,
-            steps,
+            worlds.counter[k, STEPS],
             memory.states,
             memory.contacts,
             memory.uniforms,
@@ -181,7 +219,13 @@ def observe(worlds: Worlds, sensing: Sensing, rules: Rules, memory: Memory, outp
             memory.measured,
             memory.felt,
         )
-    fraction = steps * sensing.period / rules.horizon
+    show(worlds, sensing, rules, memory, output, k)
+
+
+@inlined
+def show(worlds: Worlds, sensing: Sensing, rules: Rules, memory: Memory, output: Output, k: int) -> None:
+    """Write the observations of world k from its last sample."""
+    fraction = worlds.counter[k, STEPS] * sensing.period / rules.horizon
     low, high = memory.bounds[k, 0], memory.bounds[k, 1]
     write_observations(k, memory.measured, memory.felt, fraction, low, high, output.joint, output.agents)
 

@@ -39,7 +39,7 @@ SINCE, LINE_X, LINE_Y, LINE_VX, LINE_VY = range(BODY_COLUMNS, BODY_COLUMNS + 5)
 # Columns of Worlds.thruster after those of Physics.thruster: what on/off thrusters owe in Fx, Fy, in full pulses.
 OWED = THRUSTER_COLUMNS
 # Columns of Worlds.counter.
-STEPS, HITS, OVERFLOW = range(3)
+STEPS, HITS, OVERFLOW, LOST = range(4)
 # Columns of Scratch.motion: commands, then accelerations by thrusters and drift; the same with lasting contacts,
 # changes of velocity by impulses and by their compression, how far from its centre of mass a body can come [m].
 HELD, ACCELERATION, CHANGE, COMPRESSION, ROOM = range(0, 15, 3)
@@ -86,8 +86,8 @@ class Worlds(NamedTuple):
         thruster: as ``Physics.thruster`` and two more, shape (N, robots, 8), or no robots where all thrusters do as
             they are told.
         contact: as ``Physics.contact``, shape (N, 3).
-        counter: control periods since reset, impacts in the last one, and periods cut short because events did not
-            end, shape (N, 3).
+        counter: control periods since reset, impacts in the last one, whether its events did not end, whether a state
+            is no finite number any more, shape (N, 4).
     """
 
     state: np.ndarray
@@ -158,7 +158,7 @@ def make_worlds(arena: Arena, count: int, shifts: bool, gains: bool, dtype: type
         body=np.zeros((count, n, LINE_VY + 1 if keeps else BODY_COLUMNS if shifts else OFFSET_X), dtype),
         thruster=np.zeros((count, arena.robots if gains or arena.on_off else 0, OWED + 2), dtype),
         contact=np.zeros((count, CONTACT_COLUMNS), dtype),
-        counter=np.zeros((count, 3), np.int64),
+        counter=np.zeros((count, 4), np.int64),
     )
 
 

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from impact_envs.stl.formula import SIGNALS, Formula
+from impact_envs.stl.formula import LARGEST, SIGNALS, Formula
 from impact_envs.stl.margin import AreaLike
 from impact_envs.stl.operator import Always, And, Eventually, Implies, Not, Or, Temporal, Until
 from impact_envs.stl.parser import RESERVED, parse
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ALL",
+    "LARGEST",
     "RESERVED",
     "SIGNALS",
     "Always",

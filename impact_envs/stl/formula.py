@@ -7,13 +7,21 @@ and implies are kept as nodes of their own, so that a formula prints as it was w
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import ClassVar
 
 from impact_envs.errors import FormulaError, choices
 
 SIGNALS = ("x", "y", "vx", "vy", "heading", "omega")
 """What a planar body offers: ``pop.x`` [m], ``pop.vx`` [m/s], ``pop.heading`` [rad], ``pop.omega`` [rad/s]"""
+
+LARGEST = 1e9
+"""Greatest size of a number in a formula or a scenario: products of several stay finite"""
+
+SAMPLE_TOLERANCE = 1e-6
+"""How far beside an interval's end a sample still counts [samples]: 0.3 s is sample 3 of a 0.1 s period"""
+
+Interval = tuple[float, float]
 
 
 class Formula:
@@ -118,7 +126,23 @@ class Formula:
         """
         if not 0 < factor < math.inf:
             raise FormulaError(f"time factor {factor:g} must be finite and positive")
-        return self.rebuild([child.scale_time(factor) for child in self.children])
+        return self.map_intervals(lambda interval: (factor * interval[0], factor * interval[1]))
+
+    def move_to_samples(self, period: float) -> Formula:
+        """Return the formula with every interval between two samples moved to the one before; others keep theirs.
+
+        Args:
+            period: between samples [s].
+        """
+        return self.map_intervals(lambda interval: move_to_sample(interval, period))
+
+    def map_intervals(self, change: Callable[[Interval], Interval]) -> Formula:
+        """Return the formula with other time intervals.
+
+        Args:
+            change: what becomes of an interval [s].
+        """
+        return self.rebuild([child.map_intervals(change) for child in self.children])
 
     def check_names(self, bodies: Collection[str], areas: Collection[str], signals: Collection[str] = SIGNALS) -> None:
         """Check that every name the formula uses exists.
@@ -142,6 +166,28 @@ class Formula:
 
     def _enclosed(self, least: int) -> str:
         return str(self) if self._binding >= least else f"({self})"
+
+
+def find_window(interval: Interval, period: float) -> tuple[int, int]:
+    """Return the first and the last sample of an interval; the last is below the first where it contains none.
+
+    Args:
+        interval: start and end [s].
+        period: between samples [s].
+    """
+    lower, upper = interval
+    return math.ceil(lower / period - SAMPLE_TOLERANCE), math.floor(upper / period + SAMPLE_TOLERANCE)
+
+
+def move_to_sample(interval: Interval, period: float) -> Interval:
+    """Return an interval that contains a sample: as it is, or the sample before it.
+
+    Args:
+        interval: start and end [s].
+        period: between samples [s].
+    """
+    first, last = find_window(interval, period)
+    return interval if first <= last else (last * period, last * period)
 
 
 def format_number(value: float) -> str:

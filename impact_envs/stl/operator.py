@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from impact_envs.errors import FormulaError
-from impact_envs.stl.formula import Formula, format_number
-
-SAMPLE_TOLERANCE = 1e-6
-"""How far beside an interval's end a sample still counts [samples]: 0.3 s is sample 3 of a 0.1 s period."""
+from impact_envs.stl.formula import LARGEST, Formula, Interval, find_window, format_number
 
 
 @dataclass(frozen=True)
@@ -129,9 +126,7 @@ class Temporal(Formula):
         Raises:
             FormulaError: the interval contains no sample.
         """
-        lower, upper = self.interval
-        first = math.ceil(lower / period - SAMPLE_TOLERANCE)
-        last = math.floor(upper / period + SAMPLE_TOLERANCE)
+        first, last = find_window(self.interval, period)
         if first > last:
             raise FormulaError(f"interval {self._bounds} s contains no sample at a period of {period:g} s")
         return first, last
@@ -144,11 +139,10 @@ class Temporal(Formula):
         """Return the window's first sample plus what the subformulas leave out."""
         return self.window(period)[0] + super().first_look(period)
 
-    def scale_time(self, factor: float) -> Formula:
-        """Return the operator with its interval, and those inside, multiplied."""
-        scaled: Any = super().scale_time(factor)
-        lower, upper = self.interval
-        return replace(scaled, interval=(factor * lower, factor * upper))
+    def map_intervals(self, change: Callable[[Interval], Interval]) -> Formula:
+        """Return the operator with another interval, also inside."""
+        changed: Any = super().map_intervals(change)
+        return replace(changed, interval=change(self.interval))
 
     @property
     def _bounds(self) -> str:
@@ -163,7 +157,7 @@ def check_interval(lower: float, upper: float) -> None:
         upper: end [s].
 
     Raises:
-        FormulaError: not finite, before time 0, or ending before it starts.
+        FormulaError: not finite, before time 0, ending before it starts, or too late.
     """
     text = f"interval [{format_number(lower)},{format_number(upper)}]"
     if not (math.isfinite(lower) and math.isfinite(upper)):
@@ -172,6 +166,8 @@ def check_interval(lower: float, upper: float) -> None:
         raise FormulaError(f"{text} starts before time 0")
     if upper < lower:
         raise FormulaError(f"{text} ends before it starts")
+    if upper > LARGEST:
+        raise FormulaError(f"{text} ends after {LARGEST:g} s")
 
 
 @dataclass(frozen=True)

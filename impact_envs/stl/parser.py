@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,13 +13,18 @@ from lark import Lark, Tree
 from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
 from impact_envs.errors import FormulaError, choices
-from impact_envs.stl.formula import Formula
+from impact_envs.stl.formula import LARGEST, Formula
 from impact_envs.stl.operator import Always, And, Eventually, Implies, Not, Or, Until, check_interval
 from impact_envs.stl.predicate import ALL, FUNCTIONS, In, Linear, make_comparison
 
 _OPERATORS = ("and", "or", "not", "implies", "until", "U", "eventually", "F", "always", "G")
 RESERVED = frozenset((*_OPERATORS, "in", ALL, *FUNCTIONS))
 """Words that cannot name a body or an area in a formula."""
+
+DEEPEST = 64
+"""Greatest number of operators within each other: what copies a formula takes up to seven Python calls for each"""
+LONGEST = 100_000
+"""Greatest number of letters of a formula: some thousand predicates"""
 
 _EXCERPT = 60  # characters of the formula an error shows
 _MIRRORED = {"<=": ">=", "<": ">", ">=": "<=", ">": "<"}
@@ -44,6 +48,8 @@ def parse(text: str) -> Formula:
     """
     if not isinstance(text, str):
         raise FormulaError(f"a formula is text such as 'F[0,80] pop in goal', got {type(text).__name__}")
+    if len(text) > LONGEST:
+        raise FormulaError(f"the formula has {len(text)} letters, at most {LONGEST} are read")
     try:
         return _build(_lark().parse(text), text)
     except UnexpectedToken as error:
@@ -52,8 +58,6 @@ def parse(text: str) -> Formula:
         position = error.pos_in_stream or 0
         what = f"'{text[position]}' has no meaning in a formula"
         raise FormulaError(_locate(text, position, what)) from None
-    except RecursionError:
-        raise FormulaError("the formula is nested too deeply") from None
 
 
 @cache
@@ -83,8 +87,8 @@ class _Sum:
 
 def _number(text: str) -> float:
     value = float(text)
-    if not math.isfinite(value):
-        raise FormulaError(f"the number {text} is too large")
+    if value > LARGEST:
+        raise FormulaError(f"the number {text:.40} is too large, at most {LARGEST:g} is read")
     return value
 
 
@@ -143,14 +147,30 @@ _RULES: dict[str, Callable[..., Any]] = {
 }
 
 
-def _build(node: Any, text: str) -> Any:
-    if not isinstance(node, Tree):
-        return str(node)
-    children = [_build(child, text) for child in node.children]
-    try:
-        return _RULES[node.data](*children)
-    except FormulaError as error:
-        raise FormulaError(_locate(text, node.meta.start_pos, str(error))) from None
+def _build(tree: Tree, text: str) -> Any:
+    """Return the formula of a syntax tree: children first, left to right, by a stack of our own instead of Python's."""
+    todo: list[tuple[Any, bool]] = [(tree, False)]
+    built: list[tuple[Any, int]] = []  # with its depth
+    while todo:
+        node, entered = todo.pop()
+        if not isinstance(node, Tree):
+            built.append((str(node), 0))
+        elif not entered:
+            todo.append((node, True))
+            todo.extend((child, False) for child in reversed(node.children))
+        else:
+            first = len(built) - len(node.children)
+            children = built[first:]
+            del built[first:]
+            try:
+                value = _RULES[node.data](*(child for child, _ in children))
+                depth = max((depth for _, depth in children), default=0) + isinstance(value, Formula)
+                if depth > DEEPEST:
+                    raise FormulaError(f"operators are nested more than {DEEPEST} deep")
+            except FormulaError as error:
+                raise FormulaError(_locate(text, node.meta.start_pos, str(error))) from None
+            built.append((value, depth))
+    return built[0][0]
 
 
 _EXPECTED = {

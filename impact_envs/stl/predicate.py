@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from impact_envs.errors import FormulaError, choices
-from impact_envs.stl.formula import Formula, format_number
+from impact_envs.stl.formula import LARGEST, Formula, format_number
 from impact_envs.stl.margin import AreaLike, AreaMargin, LinearMargin, Margin, NormMargin
 from impact_envs.stl.operator import And
 
@@ -127,6 +127,8 @@ class Comparison(Predicate):
             raise FormulaError(f"relation '{self.relation}' is unknown; {choices(self.relation, OPPOSITES)}")
         if not math.isfinite(self.bound):
             raise FormulaError(f"the bound {self.bound} of a comparison must be finite")
+        if abs(self.bound) > LARGEST:
+            raise FormulaError(f"the bound {self.bound:g} of a comparison is beyond {LARGEST:g}")
 
 
 @dataclass(frozen=True)
@@ -209,6 +211,8 @@ class Linear(Comparison):
         for signal, coefficient in self.terms:
             if coefficient == 0 or not math.isfinite(coefficient):
                 raise FormulaError(f"coefficient {coefficient} of {signal} must be finite and not zero")
+            if abs(coefficient) > LARGEST:
+                raise FormulaError(f"coefficient {coefficient:g} of {signal} is beyond {LARGEST:g}")
 
     def bodies(self) -> tuple[str, ...]:
         """Return the bodies whose signals are compared."""

@@ -14,6 +14,8 @@ import numpy as np
 from impact_envs.dual_arm.arm import compute_kinematics
 from impact_envs.dual_arm.model import DualArmModel
 from impact_envs.dual_arm.schema import DualArmScenario
+from impact_envs.errors import InputError
+from impact_envs.file import replace_file
 from planners.dual_arm.options import ControllerOptions, Options, PredictionOptions
 from planners.dual_arm.reference import ImpactMap, compute_ante_velocity, make_impact_map
 from planners.dual_arm.reference_spreading import ReferenceSpreading, make_ante_field
@@ -135,11 +137,5 @@ def _list_heights(prediction: PredictionOptions) -> np.ndarray:
 
 def _store_impacts(path: Path, heights: np.ndarray, twists: np.ndarray) -> None:
     """Write simulated impacts all or nothing; do nothing where the directory cannot be written."""
-    partial = path.with_name(f"{path.stem}.{os.getpid()}.npz")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with contextlib.suppress(InputError), replace_file(path) as partial:
         np.savez(partial, heights=heights, twists=twists)
-        os.replace(partial, path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            partial.unlink()

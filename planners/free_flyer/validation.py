@@ -56,6 +56,8 @@ def validate_plan(scenario: FreeFlyerScenario, plan: Plan, tolerances: Tolerance
 
     Source: Verhagen & Tumova, Eqs. (2), (6), (9).
     """
+    if (plan.robots.keys(), plan.objects.keys()) != (scenario.robots.keys(), scenario.objects.keys()):
+        _reject(f"it is for {', '.join((*plan.robots, *plan.objects))}, not for {', '.join(scenario.bodies)}")
     count = round(scenario.horizon / scenario.control_period) * SUBSTEPS
     times = np.linspace(0.0, scenario.horizon, count + 1)
     robots = {name: plan.robots[name].position(times) for name in scenario.robots}
@@ -131,9 +133,10 @@ def _hit(
     curve, who = plan.robots[impact.robot], f"impact of {impact.robot} at {impact.time:g} s"
     offset = position - curve.position(impact.time)
     distance = float(np.linalg.norm(offset))
+    # NaN, too, is not in contact; centres on one point have no normal.
+    if not (abs(distance - robot.radius - body.radius) <= tolerances.position and distance > 0.0):
+        _reject(f"{who}: centres are {distance:.6g} m apart, bodies in contact {robot.radius + body.radius:.6g} m")
     normal = offset / distance
-    if abs(distance - robot.radius - body.radius) > tolerances.position:
-        _reject(f"{who}: bodies are {distance:.6g} m apart, not in contact")
     before, after = _difference(curve, impact.time, -1), _difference(curve, impact.time, 1)
     approach = float((before - velocity) @ normal)
     if approach <= 0.0:

@@ -20,10 +20,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from agents import ResidualPolicy, sb3
 from agents.actor import Actor, PolicyRecord, load_policy, save_policy
-from agents.checkpoint import write_atomically
 from agents.sb3 import ALGORITHMS, LearningOptions, export_actor, start_at_expert
 from agents.training_state import load_training, save_training
 from impact_envs import InputError
+from impact_envs.file import write_atomically
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.plan import Plan
 from tests.frozen.freeze import get_plan
@@ -97,7 +97,7 @@ def test_round_trip_gives_identical_corrections(tmp_path: Path, squash: str) -> 
     actor = make_actor(squash=squash)
     save_policy(tmp_path, actor, make_record(squash=squash))
     again, record = load_policy(tmp_path)
-    assert record == make_record(squash=squash)
+    assert record == make_record(squash=squash, weights_digest=record.weights_digest)
     features = np.random.default_rng(0).normal(scale=4.0, size=(200, SIZES[0]))
     corrections = np.array([actor.correction(row) for row in features])
     np.testing.assert_array_equal(corrections, [again.correction(row) for row in features])
@@ -196,6 +196,10 @@ def test_training_state_of_another_network_is_refused(tmp_path: Path) -> None:
     tensors = load_file(path)
     name = "policy/action_net.weight"
     save_file(tensors | {name: np.zeros((3, 8), np.float32)}, path)
+    with pytest.raises(InputError, match=r"training.safetensors: is damaged"):
+        load_training(tmp_path, *make_model("ppo"))
+    description = path.with_suffix(".json")
+    description.write_text(json.dumps(json.loads(description.read_text()) | {"weights_digest": None}))
     with pytest.raises(InputError, match=rf"training.safetensors: tensor '{name}' is .* \[3, 8\], expected"):
         load_training(tmp_path, *make_model("ppo"))
     with pytest.raises(InputError, match=r"training\.json: key 'algorithm': is 'ppo', expected 'sac'"):
@@ -216,8 +220,15 @@ def edit_tensors(change: Callable[[dict[str, np.ndarray]], object]) -> Callable[
         data = {name: array.copy() for name, array in load_file(folder / "policy.safetensors").items()}
         change(data)
         save_file(data, folder / "policy.safetensors")
+        edit_json(lambda d: d.pop("weights_digest"))(folder)  # as a checkpoint of an earlier version
 
     return edit
+
+
+def flip_bit(folder: Path) -> None:
+    data = bytearray((folder / "policy.safetensors").read_bytes())
+    data[-9] ^= 1
+    (folder / "policy.safetensors").write_bytes(data)
 
 
 def cut(name: str) -> Callable[[Path], None]:
@@ -229,6 +240,7 @@ BREAKS: dict[str, tuple[Callable[[Path], object], str]] = {
     "no weights": (lambda folder: (folder / "policy.safetensors").unlink(), "has no policy.safetensors"),
     "cut json": (cut("policy.json"), r"policy\.json: .*JSON"),
     "cut weights": (cut("policy.safetensors"), r"policy\.safetensors: not a safetensors file"),
+    "flipped bit": (flip_bit, r"policy\.safetensors: is damaged, or of another checkpoint"),
     "empty weights": (lambda f: (f / "policy.safetensors").write_bytes(b""), "not a safetensors file"),
     "typo": (edit_json(lambda d: d.update(hiden=[8])), r"unknown key 'hiden'; did you mean 'hidden'\?"),
     "missing key": (edit_json(lambda d: d.pop("suite")), r"key 'suite': Field required"),

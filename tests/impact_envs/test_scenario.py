@@ -149,3 +149,104 @@ def test_halfspaces_hold_the_corners():
     assert np.max(H @ corners.T - b[:, None]) == pytest.approx(0.0, abs=1e-12)
     center = corners.mean(axis=0)
     assert np.min(b - H @ center) == pytest.approx(0.75)
+
+
+SMALL = load_scenario("throw_and_catch").override(
+    {"control_period": 0.25, "horizon": 5.0, "formula": "F[0,5] pop in goal"}
+)
+
+
+@pytest.mark.parametrize("suite", ["short", "hard"])
+@pytest.mark.parametrize(
+    ("formula", "tight"),
+    [
+        ("G[4,4] pop in goal", "G[2.25,2.25] pop in goal"),  # 2.4 s is no sample, the one before it is
+        ("F[3,4] pop in goal", "F[1.7999999999999998,2.4] pop in goal"),  # contains samples 2.0 and 2.25
+        ("F[1.5,1.5] F[1.5,1.5] F[2,2] pop in goal", "F[0.75,0.75] F[0.75,0.75] F[1,1] pop in goal"),
+        ("pop in goal U[4,4] pop in goal", "pop in goal U[2.25,2.25] pop in goal"),
+    ],
+)
+def test_shortened_formulas_keep_a_sample_in_every_interval(suite, formula, tight):
+    changed = SMALL.override({"formula": formula}).suite(suite)
+    assert changed.horizon == 3.0
+    assert changed.formula == tight
+
+
+@pytest.mark.parametrize("name", list_scenarios())
+def test_shipped_scenarios_are_shortened_by_the_factor_alone(name):
+    scenario = load_scenario(name)
+    if "hard" in scenario._suites():
+        hard = scenario.suite("hard")
+        assert hard.specification == scenario.specification.scale_time(hard.horizon / scenario.horizon)
+
+
+@pytest.mark.parametrize("scale", [np.nan, np.inf, -np.inf, 0, -1, 1.1, "x", True, [1], None])
+def test_a_horizon_scale_is_a_share(scale):
+    scenario = SMALL.override({"suites": {"mine": {"horizon_scale": scale}}})
+    with pytest.raises(ScenarioError, match=r"suite 'mine': horizon_scale = .*above 0, at most 1"):
+        scenario.suite("mine")
+
+
+@pytest.mark.parametrize(
+    "name", ["../up", "a/b", "a\0b", "a\nb", ".hidden", "..", "", " ", "a b", "x" * 65, "a\\b", "a:b"]
+)
+def test_names_that_cannot_name_a_file_are_refused(name):
+    for values in (
+        {"name": name},
+        {"suites": {name: {}}},
+        {f"regions.{name or ' '}": {"lower": [0, 0], "upper": [1, 1]}},
+    ):
+        if "." in next(iter(values)) and "." in name:
+            continue  # a dotted key names another table
+        with pytest.raises(ScenarioError) as caught:
+            SMALL.override(values)
+        assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("name", ["mine", "a-b", "v1.2", "_x", "x" * 64, "été", "-"])
+def test_other_names_are_taken(name):
+    assert SMALL.override({"name": name, "suites": {name: {}}}).suite(name).name == name
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("domain", {"a": 1}, ["domain", "{'a': 1}", "free_flyer"]),
+        ("domain", [1], ["domain", "[1]", "free_flyer"]),
+        ("horizon", 1e308, ["horizon", "1e+308", "1000000000"]),
+        ("control_period", 5e-324, ["control_period", "1e-09"]),
+        ("control_period", 1e-300, ["control_period", "1e-300"]),
+        ("control_period", 1e-6, ["control_period", "1000000 control periods"]),
+        ("control_period", 100.0, ["control_period", "60"]),
+        ("true.weak_thruster", -1, ["true.weak_thruster", "negative"]),
+        ("true.weak_thruster", {"uniform": [-1e308, 1e308]}, ["true.weak_thruster", "-1e+308"]),
+        ("true.thruster_gain", 1e300, ["true.thruster_gain", "1e+300"]),
+        ("true.drift", {"uniform": [2, 1]}, ["true.drift", "low 2 is above high 1"]),
+        ("robots.snap.torque_limit", 1e308, ["robots.snap.torque_limit", "1e+308"]),
+        ("robots.snap.mass", 1e-12, ["robots.snap.mass", "1e-12", "1e-09"]),
+        ("regions.goal.upper", [0.25 + 1e-12, 3.0], ["regions.goal", "below"]),
+        ("robots.a-b", 1, ["robots.a-b"]),
+        ("name", "a\nb\nc", ["a\\nb"]),
+        ("description", 10**30, ["description"]),
+    ],
+)
+def test_values_out_of_bounds_are_refused_in_one_line(key, value, words):
+    with pytest.raises(ScenarioError) as caught:
+        SMALL.override({key: value})
+    message = str(caught.value)
+    assert message.isprintable()
+    for word in words:
+        assert word in message, message
+
+
+def test_a_file_nested_too_deeply_is_refused(tmp_path):
+    with pytest.raises(ScenarioError, match="nested too deeply"):
+        load_scenario(write(tmp_path, "a = " + "[" * 5000 + "]" * 5000))
+
+
+def test_what_is_no_scenario_is_refused():
+    for source in (5, None, {"domain": "free_flyer"}):
+        with pytest.raises(ScenarioError, match="a name, a path or a Scenario"):
+            load_scenario(source)
+    with pytest.raises(ScenarioError, match=r"is unknown"):
+        load_scenario("x" * 5000)

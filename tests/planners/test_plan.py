@@ -85,3 +85,14 @@ def test_unreadable_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "bad.json").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match=r"bad\.json"):
         Plan.load(tmp_path / "bad.json")
+
+
+def test_damaged_plans_are_one_line(plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "deep.json"
+    path.write_text("[" * 100_000 + "]" * 100_000)
+    with pytest.raises(InputError, match="nested too deep"):
+        Plan.load(path)
+    content = json.loads(plan.to_json())
+    path.write_text(json.dumps(content | {"objective": "speed"}))
+    with pytest.raises(InputError, match="objective: Input should be 'robustness' or 'impact_uncertainty'"):
+        Plan.load(path)

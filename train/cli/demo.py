@@ -13,6 +13,7 @@ from rich.console import Console
 
 from impact_envs.errors import InputError
 from train.cli.plan import Command as PlanCommand
+from train.evaluation.folder_lock import lock_folder
 
 SCENARIOS = ("throw_and_catch", "corridor")
 POLICY = "corridor_hard"
@@ -71,5 +72,8 @@ def _clear_last_demo(folder: Path, policies: Sequence[str]) -> None:
             held = None
         if held != list(policies):
             raise InputError(f"--out {folder}: holds another evaluation; choose another folder")
-    for name in ("rows.jsonl", "manifest.json"):
-        (folder / name).unlink(missing_ok=True)
+    if not folder.exists():
+        return
+    with lock_folder(folder):
+        for name in ("rows.jsonl", "manifest.json"):
+            (folder / name).unlink(missing_ok=True)

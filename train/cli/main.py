@@ -7,6 +7,7 @@ one JSON object and nothing else goes there. Exit codes: 0 done, 1 the thing its
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import json
 import re
@@ -21,8 +22,11 @@ import tyro
 
 from impact_envs.errors import InputError, choices
 from planners.errors import PlanningError
+from train.evaluation.errors import WorkerLost
 
 COMMANDS = ("list", "plan", "run", "train", "evaluate", "report", "demo")
+# Faults of the disk; some libraries do not say of which file.
+DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 class Command(Protocol):
@@ -54,11 +58,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"impact: {error}", file=sys.stderr)
         return 2
     except OSError as error:
-        if error.filename is None:  # not about a file the user named
+        if error.filename is None and error.errno not in DISK:  # not about a file
             raise
-        print(f"impact: {error.filename}: {error.strerror}", file=sys.stderr)
+        print(f"impact: {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
         return 2
-    except PlanningError as error:
+    except (PlanningError, WorkerLost) as error:
         print(f"impact: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

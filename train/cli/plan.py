@@ -10,6 +10,7 @@ from tyro.conf import Positional
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError
+from impact_envs.file import make_file_name, write_atomically
 from impact_envs.scenario import load_scenario
 from train.pictures.file import check_picture_path
 
@@ -191,10 +192,10 @@ def _write_samples(plan: Plan, period: float, folder: Path) -> None:
     import numpy as np
     import pandas as pd
 
-    folder.mkdir(exist_ok=True)
     times = np.arange(round(plan.horizon / period) + 1) * period
     for name, curve in (plan.robots | plan.objects).items():
         p = np.array([curve.position(t) for t in times])
         v = np.array([curve.velocity(t) for t in times])
         columns = {"t": times, "x": p[:, 0], "y": p[:, 1], "vx": v[:, 0], "vy": v[:, 1]}
-        pd.DataFrame(columns).to_csv(folder / f"{name}.csv", index=False)
+        text = pd.DataFrame(columns).to_csv(index=False)
+        write_atomically(folder / make_file_name(name, suffix=".csv"), text.encode())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -66,10 +67,9 @@ class Command:
             if film and (shown.steps % every == 0 or not shown.agents):
                 film.add(shown.render())
 
-        episode = rollout(env, policy, self.seed, on_step=watch)
+        with film or nullcontext():
+            episode = rollout(env, policy, self.seed, on_step=watch)
         env.close()
-        if film:
-            film.close()
         if self.plot:
             find_part("train", scenario.domain, "PICTURE")(record, episode, self.plot)
         figures = find_part("train", scenario.domain, "FIGURES")
@@ -138,6 +138,7 @@ def _summarize(episode: Any, suite: str) -> dict[str, Any]:
         "seed": episode.seed,
         "robustness": episode.robustness,
         "success": episode.success,
+        "failure": episode.failure,
         "impacts": [
             {
                 "time": hit.time,

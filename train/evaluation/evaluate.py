@@ -6,7 +6,7 @@ import io
 import json
 import time
 from collections.abc import Iterable, Sequence
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,8 @@ import pandas as pd
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from agents.checkpoint import write_atomically
 from impact_envs.errors import InputError
+from impact_envs.file import write_atomically
 from impact_envs.scenario import Scenario
 from planners import has_planner, list_variants, make_plan
 from planners.plan import Plan
@@ -30,10 +30,12 @@ from train.evaluation.case import (
     is_built_in,
     make_cases,
 )
+from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import Journal, digest, row_key, write_json
 from train.evaluation.metrics import compare_metrics, summarize
 from train.evaluation.player import Job, checkpoint_directory, play
 from train.evaluation.statistics import compare
+from train.evaluation.workers import end_on_sigterm
 
 
 @dataclass(frozen=True)
@@ -97,8 +99,9 @@ def evaluate(
         Aggregates, paired differences and rows.
 
     Raises:
-        InputError: one line naming what is unknown or does not fit.
+        InputError: one line naming what is unknown or does not fit, or that another process writes into ``out``.
         PlanningError: an expert found no plan.
+        WorkerLost: an episode ended its worker process twice.
     """
     return evaluate_cases(make_cases(scenarios, suites), policies, episodes, seed, workers, out, progress)
 
@@ -124,8 +127,9 @@ def evaluate_cases(
         progress: show a bar on standard error.
 
     Raises:
-        InputError: one line naming what is unknown or does not fit.
+        InputError: one line naming what is unknown or does not fit, or that another process writes into ``out``.
         PlanningError: an expert found no plan.
+        WorkerLost: an episode ended its worker process twice.
     """
     start = time.perf_counter()
     labels = [str(policy).rstrip("/") or str(policy) for policy in policies]
@@ -136,24 +140,26 @@ def evaluate_cases(
         for label in labels
         for number in range(seed, seed + episodes)
     ]
-    journal = Journal(out, _digests(cases, labels)) if out is not None else None
-    rows = dict(journal.rows) if journal else {}
-    missing = [job for job in jobs if _key(cases, job) not in rows]
-    if journal:
-        journal.write_manifest(_describe(cases, labels, episodes, seed))
-    cases = _make_plans(cases, missing)
-    bar = (TextColumn("evaluating"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    # Closed, not left to the garbage collector: an interruption must reach the workers at once.
-    with (
-        Progress(*bar, console=Console(stderr=True), disable=not progress) as shown,
-        closing(play(cases, missing, workers)) as outcomes,
-    ):
-        for row, replay in shown.track(outcomes, total=len(missing)):
-            rows[row_key(row)] = row
-            if journal:
-                journal.append(row, replay)
-    table = pd.DataFrame([rows[_key(cases, job)] for job in jobs])
-    return _sum_up(table, cases, len(missing), start, journal)
+    with lock_folder(out) if out is not None else nullcontext():
+        journal = Journal(out, _digests(cases, labels)) if out is not None else None
+        rows = dict(journal.rows) if journal else {}
+        missing = [job for job in jobs if _key(cases, job) not in rows]
+        if journal:
+            journal.write_manifest(_describe(cases, labels, episodes, seed))
+        cases = _make_plans(cases, missing)
+        bar = (TextColumn("evaluating"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        # Closed, not left to the garbage collector: an interruption must reach the workers at once.
+        with (
+            end_on_sigterm(),
+            Progress(*bar, console=Console(stderr=True), disable=not progress) as shown,
+            closing(play(cases, missing, workers)) as outcomes,
+        ):
+            for row, replay in shown.track(outcomes, total=len(missing)):
+                rows[row_key(row)] = row
+                if journal:
+                    journal.append(row, replay)
+        table = pd.DataFrame([rows[_key(cases, job)] for job in jobs])
+        return _sum_up(table, cases, len(missing), start, journal)
 
 
 def _sum_up(

@@ -7,10 +7,14 @@ import json
 import os
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
-from agents.checkpoint import write_atomically
-from impact_envs.errors import InputError
+from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
+
+from impact_envs.errors import InputError, describe_fault
+from impact_envs.file import write_atomically
+from train.evaluation.metrics import make_row_type
+from train.evaluation.replay import find_replay
 
 PACKAGES = (
     "numpy",
@@ -24,6 +28,37 @@ PACKAGES = (
     "torch",
     "stable-baselines3",
 )
+
+
+class JudgedCase(BaseModel):
+    """One scenario in one suite (manifest.json)."""
+
+    model_config = ConfigDict(extra="allow")
+
+    name: str
+    suite: str
+    description: str
+    formula: str
+    horizon: FiniteFloat
+
+
+class Manifest(BaseModel):
+    """What was asked of the evaluation (manifest.json).
+
+    ``set``: values changed by the user; ``digests``: name of an input to the digest of its content.
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    format: Literal[1]
+    cases: list[JudgedCase]
+    policies: list[str]
+    episodes: int
+    seed: int
+    versions: dict[str, str]
+    cores: int
+    set: dict[str, Any] = {}
+    digests: dict[str, str] = {}
 
 
 def read_versions() -> dict[str, str]:
@@ -78,12 +113,13 @@ class Journal:
             replay: from replay.episode_to_dict, if it is to be kept.
         """
         if replay:
-            label = "".join(c if c.isalnum() or c in "-_" else "_" for c in row["policy"])
-            name = f"{row['scenario']}__{row['suite']}__{label}__{row['seed']}.json"
-            write_json(self.directory / "replays" / name, replay | {"policy": row["policy"]})
+            write_json(find_replay(self.directory, *row_key(row)), replay | {"policy": row["policy"]})
+        try:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row, allow_nan=False) + "\n")
+        except OSError as error:
+            raise InputError(f"{self._path}: cannot be written: {error.strerror}") from None
         self.rows[row_key(row)] = row
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row, allow_nan=False) + "\n")
 
     def _read_manifest(self) -> dict[str, Any]:
         path = self.directory / "manifest.json"
@@ -91,29 +127,48 @@ class Journal:
             if self._path.exists():
                 raise InputError(f"{self.directory}: has rows.jsonl but no manifest.json")
             return {}
-        try:
-            manifest = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path}: cannot be read: {error}") from None
-        if not isinstance(manifest, dict) or manifest.get("format") != 1:
-            raise InputError(f"{path}: not the manifest of an evaluation of format 1")
-        return manifest
+        return read_record(Manifest, path).model_dump()
 
     def _read_rows(self) -> dict[tuple[str, str, str, int], dict[str, Any]]:
         """Read the journal; a last line cut by a kill is dropped, also from the file."""
         if not self._path.exists():
             return {}
-        *lines, tail = self._path.read_bytes().split(b"\n")
+        try:
+            *lines, tail = self._path.read_bytes().split(b"\n")
+        except OSError as error:
+            raise InputError(f"{self._path}: cannot be read: {error.strerror}") from None
         if tail:
             write_atomically(self._path, b"".join(line + b"\n" for line in lines))
         rows = {}
         for number, line in enumerate(lines, start=1):
             try:
-                row = json.loads(line)
-                rows[row_key(row)] = row
-            except (ValueError, KeyError, TypeError):
-                raise InputError(f"{self._path}: line {number} is not an episode") from None
+                make_row_type().model_validate_json(line)
+            except ValidationError as error:
+                raise InputError(f"{self._path}: line {number} is not an episode: {describe_fault(error)}") from None
+            row = json.loads(line)
+            rows[row_key(row)] = row
         return rows
+
+
+Content = TypeVar("Content", bound=BaseModel)
+
+
+def read_record(model: type[Content], path: Path) -> Content:
+    """Read a JSON file of an evaluation.
+
+    Args:
+        model: what the file holds.
+        path: of the file.
+
+    Raises:
+        InputError: one line naming the file and the field.
+    """
+    try:
+        return model.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"evaluation file {path}: cannot be read: {error.strerror}") from None
+    except ValidationError as error:
+        raise InputError(f"evaluation file {path}: {describe_fault(error)}") from None
 
 
 def row_key(row: dict[str, Any]) -> tuple[str, str, str, int]:

@@ -63,6 +63,7 @@ class Metric:
         compare: keys that sum up the paired difference of two policies, from its columns a and b by seed.
         required: whether every evaluation on disk has it; a metric added later is not required.
         of_plan: whether it also needs the plan.
+        kind: type of the number as it is read back from a file.
     """
 
     name: str
@@ -72,6 +73,7 @@ class Metric:
     compare: Callable[[pd.Series, pd.Series], dict[str, Any]] | None = None
     required: bool = False
     of_plan: bool = False
+    kind: Any = FiniteFloat | None
 
 
 def mean(key: str, title: str = "", decimals: int = 2) -> Aggregate:

@@ -8,10 +8,11 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, FiniteFloat, Json, create_model
 
 from impact_envs.domain import find_part
 from impact_envs.rollout import Episode
@@ -92,7 +93,7 @@ METRICS = (
                 "success_ci", _compute_success_interval, Pair, "95 % interval", _write_success_interval, "interval"
             ),
         ),
-        required=True,
+        required=True, kind=bool,
     ),
     Metric(
         "robustness", "m", lambda episode, scenario: float(episode.robustness),
@@ -111,18 +112,18 @@ METRICS = (
             ),
             Aggregate("robustness_mean", lambda values: float(np.mean(values.to_numpy(dtype=float)))),
         ),
-        required=True,
+        required=True, kind=FiniteFloat,
     ),
     Metric(
         "effort", "N s", lambda episode, scenario: float(episode.effort),
-        (median("effort_median", "Effort"),), required=True,
+        (median("effort_median", "Effort"),), required=True, kind=FiniteFloat,
     ),
     Metric(
         "impacts", "", lambda episode, scenario: len(episode.impacts),
-        (mean("impacts_mean", "Impacts", 1),), required=True,
+        (mean("impacts_mean", "Impacts", 1),), required=True, kind=int,
     ),
-    Metric("steps", "", lambda episode, scenario: len(episode.times) - 1),
-    Metric("replans", "", lambda episode, scenario: int(episode.replans)),
+    Metric("steps", "", lambda episode, scenario: len(episode.times) - 1, kind=int),
+    Metric("replans", "", lambda episode, scenario: int(episode.replans), kind=int),
     Metric(
         "fallbacks", "", lambda episode, scenario: int(sum(episode.fallbacks.values())),
         (
@@ -131,11 +132,20 @@ METRICS = (
                 write=lambda row: f"{row['fallbacks_per_episode']:.1f}", hint=_write_counts,
             ),
         ),
-        required=True,
+        required=True, kind=int,
     ),
     Metric(
         "fallback_kinds", "", lambda episode, scenario: json.dumps(dict(sorted(episode.fallbacks.items()))),
-        (Aggregate("fallbacks", _add_counts, dict[str, int]),), required=True,
+        (Aggregate("fallbacks", _add_counts, dict[str, int]),), required=True, kind=Json[dict[str, int]],
+    ),
+    Metric(
+        "failure", "", lambda episode, scenario: episode.failure,
+        (
+            Aggregate(
+                "failures", lambda values: int((values != "").sum()), int, "Simulations failed",
+                lambda row: str(row["failures"]), detail=True,
+            ),
+        ),
     ),
     *(
         Metric(f"solve_ms_{name}", "ms", partial(_compute_solve_quantile, name=name))
@@ -149,9 +159,12 @@ METRICS = (
                 SolveTimes, "Solve time p50 / p99 / max", _write_solve_times,
             ),
         ),
-        required=True,
+        required=True, kind=list[FiniteFloat],
     ),
-    Metric("wall_seconds", "s", lambda episode, scenario: episode.wall_seconds, (mean("wall_seconds_mean"),)),
+    Metric(
+        "wall_seconds", "s", lambda episode, scenario: episode.wall_seconds,
+        (mean("wall_seconds_mean"),), kind=FiniteFloat,
+    ),
 )  # fmt: skip
 
 
@@ -200,6 +213,27 @@ def make_row(episode: Episode, scenario: Any, suite: str, policy: str, plan: Pla
     """
     key = {"scenario": episode.scenario, "suite": suite, "policy": policy, "seed": episode.seed}
     return key | measure((*METRICS, *find_metrics(scenario.domain)), episode, scenario, plan)
+
+
+class RowKey(BaseModel):
+    """What an episode is told apart by, and that all else of its row is the number of a domain's metric."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+    __pydantic_extra__: dict[str, FiniteFloat | None]
+
+    scenario: str
+    suite: str
+    policy: str
+    seed: int
+
+
+@cache
+def make_row_type() -> type[RowKey]:
+    """Return the type that a row is read back by; rows of earlier versions may lack what is not required."""
+    fields: dict[str, Any] = {
+        metric.name: (metric.kind, ...) if metric.required else (metric.kind | None, None) for metric in METRICS
+    }
+    return create_model("Row", __base__=RowKey, **fields)
 
 
 def summarize(rows: pd.DataFrame, domains: Mapping[str, str] | None = None) -> list[dict[str, Any]]:

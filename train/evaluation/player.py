@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
-from collections.abc import Generator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +19,7 @@ from planners.plan import Plan
 from train.evaluation.case import BUILT_IN, Case, has_expert, is_built_in
 from train.evaluation.metrics import make_row
 from train.evaluation.replay import episode_to_dict
+from train.evaluation.workers import work
 
 SHIPPED = Path(agents.__file__).parent / "checkpoints"
 # An episode's row, and its replay if one is wanted.
@@ -112,19 +111,13 @@ def play(cases: Sequence[Case], jobs: Sequence[Job], workers: int = 1) -> Genera
     Raises:
         InputError: a checkpoint is broken or does not fit.
         PlanningError: an expert found no plan.
+        WorkerLost: an episode ended its worker twice.
     """
     if workers == 1 or len(jobs) < 2:
         _use_one_thread(cases, jobs)
         yield from map(_Player(cases).play, jobs)
         return
-    spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(workers, len(jobs)), spawn, _start_worker, (cases, jobs))
-    try:
-        for future in as_completed([pool.submit(_play_in_worker, job) for job in jobs]):
-            yield future.result()
-    finally:
-        # Reached early by Ctrl-C or a failure: what is still queued is not played.
-        pool.shutdown(cancel_futures=True)
+    yield from work(partial(_start_player, cases, jobs), jobs, workers)
 
 
 class _Player:
@@ -151,19 +144,10 @@ class _Player:
         return row, episode_to_dict(episode, case.scenario, case.suite, env.task.shapes(), plan)
 
 
-_player: _Player  # of a worker process, made by its initialiser
-
-
-def _start_worker(cases: Sequence[Case], jobs: Sequence[Job]) -> None:
-    global _player
-    # Ctrl-C is the parent's to handle; workers finish their episode and leave.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _start_player(cases: Sequence[Case], jobs: Sequence[Job]) -> Callable[[Job], Outcome]:
+    """Return what plays an episode in a worker process."""
     _use_one_thread(cases, jobs)
-    _player = _Player(cases)
-
-
-def _play_in_worker(job: Job) -> Outcome:
-    return _player.play(job)
+    return _Player(cases).play
 
 
 def _use_one_thread(cases: Sequence[Case], jobs: Sequence[Job]) -> None:

@@ -6,17 +6,24 @@ import json
 import math
 from collections.abc import Iterable
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from impact_envs.domain import find_part
+from impact_envs.file import make_file_name
 from impact_envs.rollout import Episode
 from impact_envs.shape import Shape
 from planners.plan import Plan
 from train.evaluation.statistics import compute_solve_times
 
 DECIMALS = 5
+
+
+def find_replay(directory: Path, scenario: str, suite: str, policy: str, seed: int) -> Path:
+    """Return where the replay of an episode is, in the folder of an evaluation."""
+    return directory / "replays" / make_file_name(scenario, suite, policy, seed, suffix=".json")
 
 
 def episode_to_dict(
@@ -61,6 +68,7 @@ def episode_to_dict(
         "robustness_bounds": [[_finite(x) for x in pair] for pair in _rounded(episode.robustness_bounds)],
         "robustness": float(episode.robustness),
         "success": bool(episode.success),
+        "failure": episode.failure,
         "effort": float(episode.effort),
         "fallbacks": dict(episode.fallbacks),
         "solve_ms": compute_solve_times(1e3 * episode.solve_seconds),

@@ -5,39 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
 import pandas as pd
-from pydantic import BaseModel, Field, FiniteFloat, ValidationError, create_model
+from pandas.api.types import is_numeric_dtype
+from pydantic import BaseModel, Field, FiniteFloat, create_model
 
-from impact_envs.errors import InputError
+from impact_envs.errors import InputError, choices
+from planners.plan import Plan
+from train.evaluation.journal import Manifest, read_record
 from train.evaluation.metric import Pair
 from train.evaluation.metrics import METRICS
 
 COLUMNS = ["scenario", "suite", "policy", "seed", "robustness"]
-
-
-class JudgedCase(BaseModel):
-    """One scenario in one suite (manifest.json)."""
-
-    name: str
-    suite: str
-    description: str
-    formula: str
-    horizon: FiniteFloat
-
-
-class Manifest(BaseModel):
-    """What was asked of the evaluation (manifest.json); ``set``: values changed by the user."""
-
-    format: Literal[1]
-    cases: list[JudgedCase]
-    policies: list[str]
-    episodes: int
-    seed: int
-    versions: dict[str, str]
-    cores: int
-    set: dict[str, Any] = {}
 
 
 class Group(BaseModel):
@@ -123,7 +103,7 @@ class Replay(BaseModel):
     impacts: list[ReplayImpact]
     robustness_bounds: list[tuple[FiniteFloat | None, FiniteFloat | None]]
     robustness: FiniteFloat
-    plan: dict[str, Any] | None
+    plan: Plan | None
     links: dict[str, Any] = {}
 
 
@@ -146,9 +126,6 @@ class Evaluation:
     written: datetime
 
 
-Content = TypeVar("Content", bound=BaseModel)
-
-
 def read_evaluation(directory: str | Path) -> Evaluation:
     """Read what an evaluation wrote.
 
@@ -164,40 +141,43 @@ def read_evaluation(directory: str | Path) -> Evaluation:
     directory = Path(directory)
     if not directory.is_dir():
         raise InputError(f"evaluation '{directory}' is not a directory; `impact evaluate ... --out DIR` makes one")
-    manifest = _read(Manifest, directory / "manifest.json")
-    summary = _read(Summary, directory / "summary.json")
+    manifest = read_record(Manifest, directory / "manifest.json")
+    summary = read_record(Summary, directory / "summary.json")
+    _check_policies(manifest, summary, directory)
     episodes = _read_episodes(directory / "rows.parquet")
+    replays = [_read_replay(path) for path in sorted((directory / "replays").glob("[!.]*.json"))]
     # A directory that was used before may hold replays of other policies or seeds.
-    replays = [_read_replay(path) for path in sorted((directory / "replays").glob(f"*__{manifest.seed}.json"))]
-    found = {(replay.scenario, replay.suite, replay.policy): replay for replay in replays}
-    keys = [(row.scenario, row.suite, row.policy) for row in summary.rows]
+    found = {(replay.scenario, replay.suite, replay.policy, replay.seed): replay for replay in replays}
+    keys = [(row.scenario, row.suite, row.policy, manifest.seed) for row in summary.rows]
     written = datetime.fromtimestamp((directory / "summary.json").stat().st_mtime)
     return Evaluation(manifest, summary, episodes, tuple(found[key] for key in keys if key in found), written)
 
 
-def _read(model: type[Content], path: Path) -> Content:
-    try:
-        return model.model_validate_json(path.read_bytes())
-    except OSError as error:
-        raise InputError(f"evaluation file {path}: cannot be read: {error.strerror}") from None
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in first["loc"]) or "content"
-        raise InputError(f"evaluation file {path}: {where}: {first['msg']}") from None
+def _check_policies(manifest: Manifest, summary: Summary, directory: Path) -> None:
+    """Raise unless the manifest has every policy of the summary."""
+    named = [row.policy for row in summary.rows] + [name for pair in summary.paired for name in (pair.a, pair.b)]
+    for name in named:
+        if name not in manifest.policies:
+            known = choices(name, manifest.policies)
+            raise InputError(f"evaluation file {directory / 'manifest.json'}: policies lack '{name}'; {known}")
 
 
 def _read_episodes(path: Path) -> pd.DataFrame:
     try:
-        return pd.read_parquet(path, columns=COLUMNS)
+        episodes = pd.read_parquet(path, columns=COLUMNS)
     except OSError as error:
         raise InputError(f"evaluation file {path}: cannot be read: {error.strerror or 'not Parquet'}") from None
     except ValueError as error:  # pyarrow's own errors are ValueErrors with many lines
         raise InputError(f"evaluation file {path}: {str(error).splitlines()[0]}") from None
+    for name in COLUMNS:
+        if is_numeric_dtype(episodes[name]) != (name in ("seed", "robustness")) or episodes[name].isna().any():
+            raise InputError(f"evaluation file {path}: column '{name}' has type {episodes[name].dtype} or holds gaps")
+    return episodes
 
 
 def _read_replay(path: Path) -> Replay:
     """Read a replay and check what its fields say of each other."""
-    replay = _read(Replay, path)
+    replay = read_record(Replay, path)
     carried = {shape.body for shape in replay.shapes if shape.body is not None}
     wanted = [f"{body}.{name}" for body in replay.bodies for name in ("x", "y", "heading")]
     lengths = {len(replay.signals.get(name, ())) for name in wanted} | {len(replay.robustness_bounds)}

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_envs.errors import InputError
+from impact_envs.file import replace_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,8 +43,5 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 
     check_picture_path(path)
     undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-    try:
-        with rc_context({"svg.hashsalt": "picture"}):
-            figure.savefig(path, metadata=undated.get(Path(path).suffix.lower()))
-    except OSError as error:
-        raise InputError(f"picture {path}: cannot be written: {error.strerror}") from None
+    with replace_file(path) as partial, rc_context({"svg.hashsalt": "picture"}):
+        figure.savefig(partial, metadata=undated.get(partial.suffix.lower()))

@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from impact_envs.file import write_atomically
 from impact_envs.scenario import Region
 from impact_envs.stl import Trace, parse, robustness
 from planners.plan import Plan
-from train.evaluation.results import Evaluation, JudgedCase, Replay, read_evaluation
+from train.evaluation.journal import JudgedCase
+from train.evaluation.results import Evaluation, Replay, read_evaluation
 from train.report.tables import Look, write_differences, write_results
 
 # Okabe & Ito, "Color Universal Design" (2008), in the order of the policies.
@@ -61,7 +63,7 @@ def write_report(directory: str | Path) -> Path:
         data=_inline(collect_data(evaluation, looks)),
     )
     path = Path(directory) / "report.html"
-    path.write_text(page, encoding="utf-8")
+    write_atomically(path, page.encode())
     return path
 
 
@@ -180,10 +182,9 @@ def compute_held_robustness(replay: Replay) -> dict[str, list[float]]:
     return {"times": np.asarray(replay.times)[at].tolist(), "robustness": np.round(rho, 5).tolist()}
 
 
-def _sample_plan(content: dict[str, Any] | None) -> dict[str, list[list[float]]]:
-    if content is None:
+def _sample_plan(plan: Plan | None) -> dict[str, list[list[float]]]:
+    if plan is None:
         return {}
-    plan = Plan.from_json(json.dumps(content))
     return {
         body: np.round(
             curve.position(np.union1d(np.linspace(0.0, plan.horizon, PLAN_SAMPLES), curve.times)), 4

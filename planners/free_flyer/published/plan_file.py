@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_envs.errors import InputError
+from impact_envs.file import write_atomically
 from planners.free_flyer.published.conversion import make_published_plan
 from planners.free_flyer.published.curve import PublishedBody, PublishedPlan
 from planners.plan import Plan, Tube
@@ -85,12 +86,8 @@ def write_published_plan(plan: Plan | PublishedPlan, folder: str | Path, name: s
             tube = published.zonotopes[body]
             starts, ends = ([_format_rows(box) for box in side] for side in (tube.start, tube.end))
             files[f"zonotopes_{name}_{body}.csv"] = _format("X0s", starts) + _format("Xfs", ends) + labels
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        for file, text in files.items():
-            (Path(folder) / file).write_text(text, encoding="utf-8", newline="")
-    except OSError as error:
-        raise InputError(f"{error.filename}: cannot be written: {error.strerror}") from None
+    for file, text in files.items():
+        write_atomically(Path(folder) / file, text.encode())
     return [Path(folder) / file for file in files]
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from impact_envs.stl import Always, And, Eventually, Formula, Or, Predicate, Until
 from planners.alternatives import AllOf, AnyOf, require_tree
+from planners.errors import SolverFailed
 from planners.free_flyer.specification.grid import Grid, Place, Time, find_place, interpolate
 from planners.free_flyer.specification.negation_normal_form import Release
 from planners.free_flyer.specification.predicate_rows import (
@@ -30,6 +31,7 @@ from planners.mixed_integer import Affine
 
 FRACTIONS = (0.25, 0.5, 0.75)  # of a piece, where an instant may lie between knots
 BEFORE = 0.01  # time before a window at which no witness has come yet [control periods]
+MOST_PARTS = 500  # of a formula unfolded over instants: each operator nested may multiply them
 WITNESSES = 12  # greatest number for a temporal formula that has to hold again and again
 
 
@@ -60,6 +62,7 @@ def add_demands(grid: Grid, demands: Demands, period: float, passing: bool, rese
 
     Raises:
         Infeasible: the variable bounds alone exclude a demand.
+        SolverFailed: the formula unfolds into too many parts.
 
     Source: Verhagen & Tumova, Eqs. (2), (21), (22).
     """
@@ -85,9 +88,17 @@ class _Encoder:
     passing: bool
     reserve: float
     instants: list[Affine] = field(default_factory=list)
+    parts: int = 0  # encoded so far
 
     def encode(self, formula: Formula, window: TimeWindow) -> MarkedTree:
         """Return the rows of 'the formula holds at all instants of the window'."""
+        self.parts += 1
+        if self.parts > MOST_PARTS:
+            raise SolverFailed(
+                "rows of the formula",
+                f"it unfolds into more than {MOST_PARTS} parts",
+                "nest fewer temporal operators within each other",
+            )
         if window.is_instant and not formula.is_temporal:
             return self._encode_once(formula, window.start, window.start)
         match formula:

@@ -6,7 +6,6 @@ import pytest
 
 import impact_envs
 from impact_envs.dual_arm.arm import compute_dynamics
-from impact_envs.dual_arm.model import make_plant
 from impact_envs.dual_arm.plant import (
     BOX,
     CONTACTS,
@@ -19,6 +18,7 @@ from impact_envs.dual_arm.plant import (
     Plant,
     advance_state,
     compute_derivative,
+    make_plant,
 )
 from impact_envs.dual_arm.schema import DualArmScenario
 
@@ -26,8 +26,8 @@ PATH = Path(impact_envs.__file__).parent / "dual_arm" / "scenarios" / "dual_arm_
 SCENARIO = DualArmScenario.model_validate(tomllib.loads(PATH.read_text()))
 PHYSICS = SCENARIO.as_believed().draw(np.random.default_rng(0))
 FLEXIBLE = make_plant(SCENARIO, PHYSICS)
-RIGID = FLEXIBLE._replace(flexible=np.zeros(1))
-FREE = FLEXIBLE.table * np.array([1, 1, 1, 1e-9, 0, 1, 0, 1])  # no table
+RIGID = FLEXIBLE._replace(flexible=False)
+FREE = FLEXIBLE.table._replace(stiffness=1e-9 * FLEXIBLE.table.stiffness, damping=0.0, friction=0.0)  # no table
 H = 2e-5
 
 
@@ -58,7 +58,7 @@ def run(plant: Plant, s: np.ndarray, tau: np.ndarray, steps: int, h: float = H):
 
 def energy(plant: Plant, s: np.ndarray) -> float:
     """Return kinetic, gravitational, joint spring and pad spring energy."""
-    m, inertia, *_, g = plant.box
+    m, inertia, g = plant.box_mass, plant.box_inertia, plant.gravity
     total = 0.5 * m * (s[BOX + 3] ** 2 + s[BOX + 4] ** 2) + 0.5 * inertia * s[BOX + 5] ** 2 + m * g * s[BOX + 1]
     for i in range(2):
         q, v, theta, rate = s[12 * i : 12 * i + 12].reshape(4, 3)
@@ -66,11 +66,11 @@ def energy(plant: Plant, s: np.ndarray) -> float:
         compute_dynamics(plant.arms[i], q, v, M, h)
         heights = np.sin(np.cumsum(q))
         total += 0.5 * v @ M @ v + plant.arms[i, 11:14] @ heights
-        if plant.flexible[0]:
-            total += 0.5 * plant.joints[0] @ (theta - q) ** 2 + 0.5 * plant.joints[3] @ rate**2
+        if plant.flexible:
+            total += 0.5 * plant.joint_stiffness @ (theta - q) ** 2 + 0.5 * plant.shaped_inertia @ rate**2
     _, contacts = derivative(plant, s)
     touching = contacts[:4, NORMAL] > 0.0
-    return total + 0.5 * plant.pad[1] * np.sum(contacts[:4, GAP][touching] ** 2)
+    return total + 0.5 * plant.pads.stiffness * np.sum(contacts[:4, GAP][touching] ** 2)
 
 
 def test_gap_and_slip_rates_equal_finite_differences():
@@ -108,7 +108,7 @@ def test_power_of_contact_is_what_its_laws_say():
         h = 1e-7
         rate = (energy(plant, s + h * ds) - energy(plant, s - h * ds)) / (2 * h)
         pads = contacts[:4]
-        spring = -plant.pad[1] * np.where(pads[:, NORMAL] > 0.0, pads[:, GAP], 0.0)
+        spring = -plant.pads.stiffness * np.where(pads[:, NORMAL] > 0.0, pads[:, GAP], 0.0)
         taken = (pads[:, NORMAL] - spring) @ pads[:, GAP_RATE] - pads[:, TANGENTIAL] @ pads[:, SLIP_RATE]
         assert rate == pytest.approx(taken, abs=1e-4)
         assert (pads[:, NORMAL] > 0.0).any()
@@ -116,7 +116,7 @@ def test_power_of_contact_is_what_its_laws_say():
         assert np.all(pads[:, TANGENTIAL] * pads[:, SLIP_RATE] >= 0.0)
 
 
-@pytest.mark.parametrize("plant", [RIGID, FLEXIBLE._replace(joints=FLEXIBLE.joints * [[1.0], [0.0], [1.0], [1.0]])])
+@pytest.mark.parametrize("plant", [RIGID, FLEXIBLE._replace(joint_damping=np.zeros(3))])
 def test_energy_is_kept_without_contact_damping_and_torque(plant):
     plant = plant._replace(table=FREE)
     s = squeezed(np.random.default_rng(4), -0.1)
@@ -176,9 +176,9 @@ def test_the_torque_loop_hides_the_motors_inertia():
     s = squeezed(np.random.default_rng(9), -0.1)
     s[6:9] += 1e-3
     tau = np.full((2, 3), 3.0)
-    heavy = FLEXIBLE._replace(joints=FLEXIBLE.joints * [[1.0], [1.0], [5.0], [1.0]])
+    heavy = FLEXIBLE._replace(motor_inertia=5.0 * FLEXIBLE.motor_inertia)
     one, other = derivative(FLEXIBLE, s, tau)[0], derivative(heavy, s, tau)[0]
     assert one == pytest.approx(other)
-    K, D, _, shaped = FLEXIBLE.joints
+    K, D, shaped = FLEXIBLE.joint_stiffness, FLEXIBLE.joint_damping, FLEXIBLE.shaped_inertia
     spring = K * (s[6:9] - s[:3]) + D * (s[9:12] - s[3:6])
     assert one[9:12] == pytest.approx((tau[0] - spring) / shaped)

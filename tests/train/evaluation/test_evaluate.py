@@ -25,6 +25,7 @@ from train.evaluation.case import has_expert, make_cases
 from train.evaluation.evaluate import EvaluationResult, evaluate, evaluate_cases
 from train.evaluation.player import make_policy
 from train.evaluation.replay import episode_to_dict
+from train.evaluation.results import read_evaluation
 
 TIMES = ["solve_ms", "solve_ms_p50", "solve_ms_p99", "solve_ms_max", "wall_seconds"]
 
@@ -236,7 +237,7 @@ def test_damaged_folders_are_named(short: Scenario, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"rows\.jsonl: line 1 is not an episode"):
         evaluate([short], ("zero",), 2, out=tmp_path, progress=False)
     (tmp_path / "manifest.json").write_text("[]")
-    with pytest.raises(InputError, match=r"manifest\.json: not the manifest"):
+    with pytest.raises(InputError, match=r"manifest\.json: content: Input should be an object"):
         evaluate([short], ("zero",), 2, out=tmp_path, progress=False)
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
@@ -265,6 +266,38 @@ def test_bad_requests_are_one_line(changes: dict[str, Any], message: str, monkey
     with pytest.raises(InputError, match=message) as caught:
         evaluate(**(request | changes), progress=False)
     assert "\n" not in str(caught.value)
+
+
+def test_every_mistyped_field_of_the_journal_is_named(short: Scenario, tmp_path: Path) -> None:
+    evaluate([short], ("zero",), 1, out=tmp_path, progress=False)
+    journal = tmp_path / "rows.jsonl"
+    row = json.loads(journal.read_text())
+    for name in row:
+        for value in ([row[name]], {"x": 1}, "text" if not isinstance(row[name], str) else 7):
+            journal.write_text(json.dumps(row | {name: value}) + "\n")
+            with pytest.raises(InputError, match=rf"rows\.jsonl: line 1 is not an episode: {name}") as caught:
+                evaluate([short], ("zero",), 1, out=tmp_path, progress=False)
+            assert "\n" not in str(caught.value)
+    for name in ("solve_ms", "success", "impacts", "fallback_kinds", "seed"):
+        journal.write_text(json.dumps({key: value for key, value in row.items() if key != name}) + "\n")
+        with pytest.raises(InputError, match=rf"line 1 is not an episode: {name}: Field required"):
+            evaluate([short], ("zero",), 1, out=tmp_path, progress=False)
+
+
+def test_replays_of_a_scenario_with_a_path_for_a_name_stay_in_their_folder(short: Scenario, tmp_path: Path) -> None:
+    named = [short.model_copy(update={"name": name}) for name in ("../../escaped", "/escaped", "a/b", "n" * 300)]
+    evaluate(named, ("zero",), 1, out=tmp_path / "deep" / "out", progress=False)
+    assert [path.name for path in tmp_path.iterdir()] == ["deep"]
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["out"]
+    assert {replay.scenario for replay in read_evaluation(tmp_path / "deep" / "out").replays} == {s.name for s in named}
+
+
+def test_a_manifest_without_a_policy_of_the_summary_is_named(short: Scenario, tmp_path: Path) -> None:
+    evaluate([short], ("zero", "random"), 1, out=tmp_path, progress=False)
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    (tmp_path / "manifest.json").write_text(json.dumps(manifest | {"policies": ["zero"]}))
+    with pytest.raises(InputError, match=r"manifest\.json: policies lack 'random'"):
+        read_evaluation(tmp_path)
 
 
 @pytest.mark.slow

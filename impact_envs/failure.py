@@ -1,0 +1,48 @@
+"""How a simulation fails: it ends the episode, is named and counted, and stops no program."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+
+class SimulationFailed(Exception):
+    """The model cannot follow its world any further; the environment ends the episode, unsuccessful."""
+
+
+class TooManyEvents(SimulationFailed):
+    """Impacts did not end within a control period.
+
+    Args:
+        events: how many were followed.
+    """
+
+    def __init__(self, events: int) -> None:
+        super().__init__(f"more than {events} events in a control period")
+
+
+class NotFinite(SimulationFailed):
+    """A state is no finite number any more.
+
+    Args:
+        body: whose.
+    """
+
+    def __init__(self, body: str) -> None:
+        super().__init__(f"state of {body} is not finite")
+
+
+def check_finite(states: np.ndarray, bodies: Sequence[str]) -> None:
+    """Raise unless all states are finite numbers.
+
+    Args:
+        states: one row per body, shape (bodies, n).
+        bodies: their names.
+
+    Raises:
+        NotFinite: naming the first body of which one is not.
+    """
+    finite = np.isfinite(states)
+    if not finite.all():
+        raise NotFinite(bodies[int(np.argmin(finite.all(axis=1)))])

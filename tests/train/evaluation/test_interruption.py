@@ -1,0 +1,173 @@
+"""Evaluations that are killed, ended or started twice: nothing is lost, nothing is played twice, nobody stays."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from impact_envs import InputError
+from train.evaluation.errors import WorkerLost
+from train.evaluation.evaluate import evaluate
+from train.evaluation.folder_lock import lock_folder
+from train.evaluation.workers import work
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc and sends signals")
+
+ROOT = Path(__file__).parents[3]
+EPISODES = 40
+CODE = (
+    "import sys; from train.evaluation.evaluate import evaluate\n"
+    "if __name__ == '__main__':\n"
+    f"    evaluate(['throw_and_catch'], ['zero'], {EPISODES}, workers=2, out=sys.argv[1], progress=False)\n"
+)
+
+
+@pytest.fixture
+def script(tmp_path: Path) -> Path:
+    path = tmp_path / "script.py"
+    path.write_text(CODE)
+    return path
+
+
+def start(script: Path, out: Path) -> subprocess.Popen[bytes]:
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen([sys.executable, str(script), str(out)], env=environment, stderr=subprocess.PIPE)
+
+
+def wait_until(done: Any, seconds: float) -> bool:
+    deadline = time.monotonic() + seconds
+    while not done() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return bool(done())
+
+
+def count_rows(out: Path) -> int:
+    journal = out / "rows.jsonl"
+    return journal.read_bytes().count(b"\n") if journal.exists() else 0
+
+
+def list_children(pid: int) -> list[int]:
+    """All that descends from a process, and is no zombie."""
+    parents = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (folder / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if fields[0] != "Z":
+            parents[int(folder.name)] = int(fields[1])
+    found, new = [], [pid]
+    while new:
+        new = [child for child, parent in parents.items() if parent in new]
+        found += new
+    return found
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def read_rows(out: Path) -> list[dict[str, Any]]:
+    rows = [json.loads(line) for line in (out / "rows.jsonl").read_text().splitlines()]
+    timed = ("solve_ms", "wall_seconds")
+    return sorted(
+        ({key: value for key, value in row.items() if not key.startswith(timed)} for row in rows),
+        key=lambda row: row["seed"],
+    )
+
+
+@pytest.mark.slow
+def test_no_kill_loses_doubles_or_changes_a_row(script: Path, tmp_path: Path) -> None:
+    evaluate(["throw_and_catch"], ["zero"], EPISODES, out=tmp_path / "whole", progress=False)
+    out = tmp_path / "out"
+    for number, wanted, code in ((signal.SIGKILL, 5, -9), (signal.SIGTERM, 15, 143)):
+        run = start(script, out)
+        try:
+            assert wait_until(lambda wanted=wanted: count_rows(out) >= wanted, 120)
+            children = list_children(run.pid)
+            assert len(children) >= 3  # two workers and multiprocessing's tracker
+            run.send_signal(number)
+            assert wait_until(lambda children=children: not any(map(is_alive, children)), 5)
+            assert run.wait(5) == code
+        finally:
+            run.kill()
+            run.communicate()
+        assert count_rows(out) < EPISODES
+    run = start(script, out)
+    try:
+        assert wait_until(lambda: count_rows(out) >= 22, 120)
+        workers = [pid for pid in list_children(run.pid) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        os.kill(workers[0], signal.SIGKILL)
+        _, said = run.communicate(timeout=120)
+    finally:
+        run.kill()
+    assert run.returncode == 0, said
+    assert read_rows(out) == read_rows(tmp_path / "whole")
+
+
+def die_at(fatal: int, folder: Path, job: int) -> int:
+    """Die of a job; of an odd one only at the first time."""
+    if job == fatal and not (folder / "died").exists():
+        if fatal % 2:
+            (folder / "died").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return job * job
+
+
+def start_dying(fatal: int, folder: Path) -> Any:
+    return partial(die_at, fatal, folder)
+
+
+def test_a_job_is_done_again_when_its_worker_dies(tmp_path: Path) -> None:
+    assert sorted(work(partial(start_dying, 3, tmp_path), range(6), 2)) == [0, 1, 4, 9, 16, 25]
+
+
+def test_a_job_that_kills_its_workers_is_named(tmp_path: Path) -> None:
+    with pytest.raises(WorkerLost, match="2 worker processes ended during 2 ") as caught:
+        list(work(partial(start_dying, 2, tmp_path), range(6), 2))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.fixture
+def held(tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Another process that writes into a folder."""
+    code = (
+        "import sys; from train.evaluation.folder_lock import lock_folder\n"
+        "with lock_folder(sys.argv[1]):\n    print('held', flush=True); sys.stdin.read()\n"
+    )
+    run = subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path / "out")],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    assert run.stdout is not None and run.stdout.readline() == b"held\n"
+    yield run
+    run.kill()
+    run.communicate()
+
+
+def test_the_second_writer_is_refused_until_the_first_has_ended(tmp_path: Path, held: subprocess.Popen[bytes]) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(InputError, match=rf"another evaluation or training \(process {held.pid}\) writes here"):
+        evaluate(["throw_and_catch"], ["zero"], 1, out=out, progress=False)
+    assert [file.name for file in out.iterdir()] == [".lock"]
+    held.kill()
+    held.wait()
+    with lock_folder(out), pytest.raises(InputError, match="another evaluation"), lock_folder(out):
+        pass
+    with lock_folder(out):
+        pass

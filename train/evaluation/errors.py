@@ -1,0 +1,7 @@
+"""What fails though the input is right."""
+
+from __future__ import annotations
+
+
+class WorkerLost(RuntimeError):
+    """Work whose process ended before it was done: killed, out of memory, or crashed."""
