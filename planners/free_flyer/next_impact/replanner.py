@@ -18,9 +18,9 @@ from planners.free_flyer.tracking.course import (
     evaluate_course,
     evaluate_curve,
     plan_approach,
-    plan_least_acceleration,
     read_clock,
 )
+from planners.free_flyer.tracking.least_acceleration import plan_least_acceleration
 
 
 @compiled

@@ -16,13 +16,12 @@ from planners.free_flyer.tracking.course import (
     evaluate_course,
     evaluate_curve,
     fit_quintic,
-    minimise_acceleration,
     plan_approach,
-    plan_least_acceleration,
     read_clock,
     return_to_plan,
     set_clock,
 )
+from planners.free_flyer.tracking.least_acceleration import minimise_acceleration, plan_least_acceleration
 
 IMPACT, HORIZON = 30.0, 60.0
 LONGEST, FASTEST = 12.0, 1.5
