@@ -15,12 +15,16 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners import make_expert, make_expert_batch
 from planners.errors import SolverFailed
-from planners.free_flyer.published.mpc import PublishedTracker, build_published_tracking, solve_published_tracking
 from planners.free_flyer.tracking.casadi_mpc import CasadiTracker, has_fatrop
 from planners.free_flyer.tracking.cvxpy_mpc import CvxpyTracker
 from planners.free_flyer.tracking.lqr import solve_lqr
 from planners.free_flyer.tracking.mpc import Workspace, make_workspace, solve_tracking
 from planners.free_flyer.tracking.problem import NO_JUMP, TrackingProblem, TrackingTask
+from planners.free_flyer.tracking.published_mpc import (
+    PublishedTracker,
+    build_published_tracking,
+    solve_published_tracking,
+)
 from planners.free_flyer.tracking.trackers import MpcTracker
 from planners.plan import Plan
 

@@ -67,7 +67,7 @@ class DiscModel:
         write_physics(worlds, 0, physics)
         self._states = np.empty((1, len(self.scenario.bodies), 6))
         self._arrays = (*self._arena, *worlds, *self._scratch, self._log)
-        self.set_state(self.scenario.starts)
+        self.set_state(self.scenario.place_bodies(physics))
 
     @property
     def time(self) -> float:

@@ -92,7 +92,7 @@ class FreeFlyerModel:
         self._bodies = [self._make_body(name) for name in self.scenario.bodies] + self._fixed
         self._movable = self._bodies[: len(self.scenario.bodies)]
         self._robots = {name: self._bodies[i] for i, name in enumerate(self.scenario.robots)}
-        self.set_state(self.scenario.starts)
+        self.set_state(self.scenario.place_bodies(physics))
         self._masses = np.array([m for body in self._movable for m in (body.mass, body.mass, body.inertia)])
 
     @property

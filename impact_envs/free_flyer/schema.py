@@ -33,6 +33,7 @@ Engine = Literal["exact", "pymunk"]
 Restitution = Annotated[float, Field(ge=0, le=1)]
 # What directions and the choice of one of several things are drawn from.
 ANGLE, SHARE = Uniform(uniform=(0.0, 2 * math.pi)), Uniform(uniform=(0.0, 1.0))
+SIDE = Uniform(uniform=(-1.0, 1.0))
 
 # Bodies may overlap by this share of their radii at the start: decimal numbers that make them touch are rounded.
 TOUCHING = 1e-9
@@ -43,8 +44,8 @@ REST_FRACTION, MOST_REST_SPEED = 2000.0, 1e-4
 # constant e; Coulomb coefficient.
 RESTITUTION, RESTITUTION_SPEED, FRICTION, CONTACT_COLUMNS = range(4)
 # Columns of Physics.body: mass [kg], inertia [kg m^2], centre of mass in the body frame from the geometric centre [m],
-# constant acceleration [m/s^2].
-MASS, INERTIA, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y, BODY_COLUMNS = range(7)
+# constant acceleration [m/s^2], start from where the scenario says [m].
+MASS, INERTIA, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y, START_X, START_Y, BODY_COLUMNS = range(9)
 # Columns of Physics.thruster: true over commanded force, positive and negative per channel Fx, Fy, torque.
 GAIN, THRUSTER_COLUMNS = 0, 6
 
@@ -128,15 +129,22 @@ class Drawn(NamedTuple):
     Attributes:
         per: drawn anew for every ``world``, ``robot`` or ``object``.
         beside: what else is drawn each time, after it, for example a direction.
+        spare: nothing is drawn beside it where it is zero.
     """
 
     per: Literal["world", "robot", "object"] = "world"
     beside: tuple[Uniform, ...] = ()
+    spare: bool = False
 
 
 def smallest(quantity: Quantity) -> float:
     """Return the smallest value a quantity can take."""
     return quantity.uniform[0] if isinstance(quantity, Uniform) else quantity
+
+
+def largest(quantity: Quantity) -> float:
+    """Return the largest value a quantity can take."""
+    return quantity.uniform[1] if isinstance(quantity, Uniform) else quantity
 
 
 def _at_least_zero(quantity: Quantity) -> Quantity:
@@ -178,6 +186,8 @@ class Truth(Table):
     thruster_gain: Annotated[Size, Drawn("robot")] = 1.0  # true over commanded force
     # Further gain of one thruster: of a random robot, along x or y, positive or negative.
     weak_thruster: Annotated[Size, Drawn("world", (SHARE, SHARE, SHARE))] = 1.0
+    # An object starts anywhere in its box of start_uncertainty: 1 in all of it, 0 at its centre.
+    start_spread: Annotated[Share, Drawn("object", (SIDE, SIDE), spare=True)] = 0.0
 
     thruster_on_off: bool = False  # thrusters are off or full at the control rate
     position_noise: NonNegative = 0.0  # standard deviation per axis [m]
@@ -186,8 +196,8 @@ class Truth(Table):
 
     @property
     def moves_bodies(self) -> bool:
-        """Return whether in any world a centre of mass is offset, or anything accelerates by itself."""
-        return any(getattr(self, name) != 0.0 for name in ("center_of_mass_offset", "drift"))
+        """Return whether in any world a centre of mass is offset, or anything accelerates or is moved by itself."""
+        return any(getattr(self, name) != 0.0 for name in ("center_of_mass_offset", "drift", "start_spread"))
 
     @property
     def changes_thrusters(self) -> bool:
@@ -202,7 +212,7 @@ class Physics(NamedTuple):
 
     Attributes:
         contact: shape (3,).
-        body: shape (n, 6); centre of mass and constant acceleration are zero for robots.
+        body: shape (n, 8); what is not mass or inertia is zero for robots.
         thruster: shape (robots, 6).
         true: what is not drawn.
     """
@@ -260,6 +270,12 @@ class FreeFlyerScenario(Scenario):
             return self.world.rest_speed
         return min(MOST_REST_SPEED, *(self.body(name).speed_limit / REST_FRACTION for name in self.bodies))
 
+    def place_bodies(self, physics: Physics) -> np.ndarray:
+        """Return ``starts`` in a true world."""
+        states = self.starts
+        states[:, :2] += physics.body[:, START_X : START_Y + 1]
+        return states
+
     @property
     def starts_moving(self) -> bool:
         """Return whether any body has a velocity at the start."""
@@ -307,6 +323,10 @@ class FreeFlyerScenario(Scenario):
         body[:, :, INERTIA] = scale * [table.inertia for table in tables]
         body[:, robots:, OFFSET_X : OFFSET_Y + 1] = _make_vectors(drawn["center_of_mass_offset"])
         body[:, robots:, DRIFT_X : DRIFT_Y + 1] = _make_vectors(drawn["drift"])
+        if self.true.start_spread != 0.0:
+            spread = drawn["start_spread"].reshape(worlds, n - robots, 3)
+            halves = np.array([item.start_uncertainty for item in self.objects.values()]).reshape(-1, 2)
+            body[:, robots:, START_X : START_Y + 1] = spread[:, :, :1] * spread[:, :, 1:] * halves
         gains = np.empty((worlds, robots, 3, 2))
         gains[:] = drawn["thruster_gain"][:, :, None, None]
         weakest, which = np.split(drawn["weak_thruster"], (1,), axis=1)
@@ -323,7 +343,8 @@ class FreeFlyerScenario(Scenario):
                 if isinstance(how, Drawn):
                     value = getattr(self.true, name)
                     quantity = getattr(self.believed, name) if value is None else value
-                    drawn[name] = (quantity, *how.beside) * counts[how.per]
+                    beside = () if how.spare and quantity == 0.0 else how.beside
+                    drawn[name] = (quantity, *beside) * counts[how.per]
         return drawn
 
     @property
@@ -356,6 +377,30 @@ class FreeFlyerScenario(Scenario):
                 a, b = self.body(first), self.body(second)
                 if math.dist(a.start, b.start) < (a.radius + b.radius) * (1 - TOUCHING):
                     raise ValueError(f"{first} and {second} overlap at the start")
+        return self
+
+    @model_validator(mode="after")
+    def _spread_fits(self) -> Self:
+        """Refuse boxes in which an object could start inside something else."""
+        spread = largest(self.true.start_spread)
+        halves = {name: spread * np.array(item.start_uncertainty) for name, item in self.objects.items()}
+        for name in self.objects if any(map(np.any, halves.values())) else ():
+            start, radius, half = np.array(self.objects[name].start), self.objects[name].radius, halves[name]
+            where = (
+                f"objects.{name}.start_uncertainty = {list(self.objects[name].start_uncertainty)}: {name} could start"
+            )
+            room = np.minimum(start - self.world.lower, self.world.upper - start)
+            if (room < half + radius).any():
+                raise ValueError(f"{where} outside the world")
+            for other in self.bodies:
+                body = self.body(other)
+                apart = np.abs(start - body.start) - half - halves.get(other, 0.0)
+                if other != name and np.hypot(*np.maximum(apart, 0.0)) < radius + body.radius:
+                    raise ValueError(f"{where} in {other}")
+            for area, obstacle in self.obstacles.items():
+                H, b = obstacle.halfspaces()
+                if obstacle.solid and np.max(H @ start - np.abs(H) @ half - b) < radius:
+                    raise ValueError(f"{where} in the solid obstacle '{area}'")
         return self
 
     def _check_inside(self, name: str) -> None:

@@ -31,6 +31,7 @@ from impact_envs.free_flyer.worlds import (
     Scratch,
     Worlds,
     read_states,
+    shift_starts,
     write_states,
 )
 from impact_envs.reward import compute_effort, compute_reward, compute_team_reward
@@ -183,6 +184,7 @@ def start_task(
     for i in range(worlds.thruster.shape[1]):
         worlds.thruster[k, i, OWED] = worlds.thruster[k, i, OWED + 1] = 0.0
     write_states(worlds, k, rules.start, 0)
+    shift_starts(worlds, k, rules.start, 0)
     read_states(worlds, k, memory.states)
     for i in range(memory.contacts.shape[1]):
         memory.contacts[k, i] = 0.0

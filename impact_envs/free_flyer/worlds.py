@@ -22,6 +22,8 @@ from impact_envs.free_flyer.schema import (
     CONTACT_COLUMNS,
     OFFSET_X,
     OFFSET_Y,
+    START_X,
+    START_Y,
     THRUSTER_COLUMNS,
     FreeFlyerScenario,
     Physics,
@@ -81,7 +83,7 @@ class Worlds(NamedTuple):
     Attributes:
         state: x, y, vx, vy of the centres of mass, heading, omega, felt impact, shape (N, n, 7) [m], [m/s], [rad],
             [rad/s].
-        body: as ``Physics.body``, shape (N, n, 6); mass and inertia only where that is all, 11 columns where objects
+        body: as ``Physics.body``, shape (N, n, 8); mass and inertia only where that is all, 13 columns where objects
             keep their velocity.
         thruster: as ``Physics.thruster`` and two more, shape (N, robots, 8), or no robots where all thrusters do as
             they are told.
@@ -221,6 +223,18 @@ def write_states(worlds: Worlds, k: int, states: np.ndarray, row: int) -> None:
         worlds.state[k, i, 0], worlds.state[k, i, 1] = states[row, i, 0] + rx, states[row, i, 1] + ry
         worlds.state[k, i, 2], worlds.state[k, i, 3] = states[row, i, 2] - omega * ry, states[row, i, 3] + omega * rx
         worlds.state[k, i, 4], worlds.state[k, i, 5] = states[row, i, 4], omega
+
+
+@compiled
+def shift_starts(worlds: Worlds, k: int, states: np.ndarray, row: int) -> None:
+    """Move world k's bodies from where states[row] says to where they start in this world."""
+    if worlds.body.shape[2] <= START_Y:
+        return
+    for i in range(worlds.state.shape[1]):
+        x, y = worlds.body[k, i, START_X], worlds.body[k, i, START_Y]
+        if x != 0.0 or y != 0.0:
+            rx, ry = find_offset(worlds, k, i, states[row, i, 4])
+            worlds.state[k, i, 0], worlds.state[k, i, 1] = states[row, i, 0] + x + rx, states[row, i, 1] + y + ry
 
 
 @compiled

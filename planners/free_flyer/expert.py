@@ -117,12 +117,14 @@ class FreeFlyerExpert:
         name, self._tracker = find_tracker(chosen.tracker if tracker is None else tracker)
         self.options = replace(chosen, tracker=name)
         self._scenario = scenario.as_believed()
-        self.table = make_plan_table(self._scenario, plan)
+        self.table = make_plan_table(self._scenario, plan, weights=chosen.weights)
         robots = len(scenario.robots)
         self.memory = make_world_memory(self.table, 1)
         self.workspace = make_workspace(1 if self._tracker is None else robots)
         period = scenario.control_period
-        self._problems = {name: build_tracking_problem(robot, period) for name, robot in self._scenario.robots.items()}
+        self._problems = {
+            name: build_tracking_problem(robot, period, chosen.weights) for name, robot in self._scenario.robots.items()
+        }
         self._joint = np.zeros((1, make_joint_layout(scenario).size))
         self._actions, self._due = np.zeros((1, robots, 3)), np.full(1, NO_OBJECT)
         self._planned = self.table

@@ -60,11 +60,10 @@ class FreeFlyerExpertBatch:
         self.count, self.robots = count, len(scenario.robots)
         self.size = make_joint_layout(scenario).size
         self._clock = find_shared_place(len(scenario.bodies), self.robots) + TIME
-        believed = scenario.as_believed()
-        self._table, self._own = make_plan_table(believed, plan), dict[int, PlanTable]()
+        believed, chosen = scenario.as_believed(), get_options(variant) if options is None else options
+        self._table, self._own = make_plan_table(believed, plan, weights=chosen.weights), dict[int, PlanTable]()
         self.memory = make_world_memory(self._table, count)
         self._threads = min(threads, count)
-        chosen = get_options(variant) if options is None else options
         chosen = replace(chosen, tracker=check_compiled(chosen.tracker if tracker is None else tracker))
         self._background = Background(believed, chosen)
         workspace, qp = make_workspace(self._threads), make_rest_qp(self._threads)

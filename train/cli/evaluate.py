@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from tyro.conf import Positional
 
+from impact_envs.errors import InputError
+from train.cli.plan import load_plan
 from train.cli.settings import parse_settings
 from train.evaluation.case import EVALUATION_SEEDS, make_cases
 
@@ -28,6 +30,10 @@ class Command:
     """Mismatch suites."""
     set: tuple[str, ...] = ()
     """Values to change, for example true.restitution=0.5 expert.NAME=VALUE."""
+    plan: Path | None = None
+    """Let the experts follow this plan: a JSON file, or a folder of published CSV files."""
+    objective: Literal["robustness", "impact_uncertainty"] | None = None
+    """Without --plan: what the experts' plans maximise; robustness without."""
     workers: int = 1
     """Processes."""
     out: Path | None = None
@@ -39,12 +45,29 @@ class Command:
         from train.evaluation.evaluate import evaluate_cases
 
         settings = parse_settings(self.set)
+        cases = make_cases(self.scenarios, self.suite, settings)
+        if self.plan is not None:
+            self._check_plan()
+            cases = [replace(case, plan=load_plan(self.plan, case.scenario)) for case in cases]
+        elif self.objective is not None:
+            cases = [replace(case, objective=self.objective) for case in cases]
         result = evaluate_cases(
-            make_cases(self.scenarios, self.suite, settings),
+            cases,
             self.policies,
             self.episodes,
             self.seed,
             self.workers,
             self.out,
         )
-        return {"rows": result.rows, "paired": result.paired, "set": settings}
+        return {"rows": result.rows, "paired": result.paired, "set": settings} | self._describe_plan()
+
+    def _check_plan(self) -> None:
+        if self.objective is not None:
+            raise InputError(f"--plan {self.plan}: has its objective; leave out --objective {self.objective}")
+        if len(self.scenarios) > 1:
+            raise InputError(f"--plan {self.plan}: is for one scenario, got {', '.join(self.scenarios)}")
+
+    def _describe_plan(self) -> dict[str, Any]:
+        """Return what was asked for of the plans."""
+        asked = {"plan": str(self.plan) if self.plan else None, "objective": self.objective}
+        return {key: value for key, value in asked.items() if value}

@@ -16,6 +16,7 @@ from train.evaluation.metric import UNKNOWN
 from train.evaluation.metrics import list_columns
 from train.evaluation.statistics import GROUP
 
+NOT_APPLICABLE = "not applicable"
 TABLE_WIDTH = 150  # columns; a narrower table would cut its numbers
 
 
@@ -41,7 +42,7 @@ def show(result: dict[str, Any]) -> None:
         if isinstance(value, list):
             console.print(_table(value) if value else f"{key}: none")
         else:
-            console.print(f"{key}: {value}", highlight=False)
+            console.print(f"{key}: {NOT_APPLICABLE if value is None else value}", highlight=False)
 
 
 def _table(rows: Sequence[dict[str, Any]]) -> Table:

@@ -76,7 +76,7 @@ class Command:
         return (
             _summarize(episode, self.suite)
             | {"set": settings}
-            | measure(find_metrics(scenario.domain), episode, scenario)
+            | measure(find_metrics(scenario.domain), episode, scenario, _find_plan(policy))
             | (figures(record, episode) if figures else {})
         )
 
@@ -108,11 +108,16 @@ def _open_film(render: str | None) -> Any:
     return Film(render, fps=30)
 
 
+def _find_plan(policy: Any) -> Any:
+    """Return the plan that a policy follows, None without one."""
+    return getattr(getattr(policy, "expert", policy), "plan", None)
+
+
 def _sample_curves(policy: Any) -> dict[str, Any]:
     """Return the curves of the plan a policy follows, as polylines."""
     import numpy as np
 
-    plan = getattr(getattr(policy, "expert", policy), "plan", None)
+    plan = _find_plan(policy)
     if plan is None:
         return {}
     times = np.linspace(0.0, plan.horizon, 400)

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from impact_envs.domain import find_part
 from impact_envs.errors import InputError, choices
 from impact_envs.scenario import Scenario, load_scenario
-from planners import check_options, list_variants
+from planners import check_options, check_planned, list_variants
 
 if TYPE_CHECKING:
     from planners.plan import Plan
@@ -28,13 +29,15 @@ class Case:
         scenario: in its suite, with changed values.
         suite: name of the suite.
         settings: all changed values, dotted name to value; names of the expert's options begin with ``expert.``.
-        plan: of the believed scenario; None if no policy follows one.
+        plan: of the believed scenario; None if no policy follows one, or it is still to be made.
+        objective: of the plan that is made where none is given.
     """
 
     scenario: Scenario
     suite: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     plan: Plan | None = None
+    objective: str = "robustness"
 
     @property
     def options(self) -> dict[str, Any]:
@@ -103,6 +106,21 @@ def check_settings(case: Case, policies: Sequence[str]) -> None:
         raise InputError(f"{EXPERT}{next(iter(case.options))}: policy {', '.join(policies)} has no expert to set")
     for policy in experts:
         check_options(case.scenario, case.options, policy if policy in variants else None)
+
+
+def check_plan(case: Case, policies: Sequence[str]) -> None:
+    """Raise unless the plan that is given or asked for can be followed.
+
+    Raises:
+        InputError: it does not fit the scenario, whose expert may follow none, or no policy has an expert.
+    """
+    if case.plan is None and case.objective == "robustness":
+        return
+    if not any(map(has_expert, policies)):
+        raise InputError(f"policy {', '.join(policies)} has no expert that follows a plan")
+    check_planned(case.scenario)
+    if case.plan is not None:
+        find_part("planners", case.scenario.domain, "CHECK_PLAN")(case.scenario, case.plan)
 
 
 def is_built_in(policy: str, scenario: Scenario) -> bool:

@@ -24,6 +24,7 @@ from train.evaluation.case import (
     EVALUATION_SEEDS,
     Case,
     check_names,
+    check_plan,
     check_settings,
     has_expert,
     is_built_in,
@@ -185,6 +186,7 @@ def _check_request(cases: Sequence[Case], labels: Sequence[str], episodes: int, 
                 _check_checkpoint(label, list_variants(case.scenario))
     for case in cases:
         check_settings(case, labels)
+        check_plan(case, labels)
 
 
 def _check_checkpoint(label: str, variants: Sequence[str]) -> None:
@@ -201,6 +203,10 @@ def _digests(cases: Sequence[Case], labels: Sequence[str]) -> dict[str, str]:
         contents = [case.scenario.model_dump_json()]
         if case.options:
             contents.append(json.dumps(case.options, sort_keys=True, default=str))
+        if case.plan:
+            contents.append(case.plan.to_json())
+        if case.objective != "robustness":
+            contents.append(case.objective)
         digests[f"{case.scenario.name}/{case.suite}"] = digest(*(content.encode() for content in contents))
     for label in labels:
         if not all(is_built_in(label, case.scenario) for case in cases):
@@ -232,10 +238,10 @@ def _make_plans(cases: Sequence[Case], jobs: Iterable[Job]) -> list[Case]:
     planned = []
     for place, case in enumerate(cases):
         believed = case.scenario.as_believed()
-        key = believed.model_dump_json()
-        if place in needed and key not in plans:
-            plans[key] = make_plan(believed)
-        planned.append(replace(case, plan=plans.get(key)))
+        key = believed.model_dump_json() + case.objective
+        if place in needed and case.plan is None and key not in plans:
+            plans[key] = make_plan(believed, case.objective)
+        planned.append(replace(case, plan=case.plan or plans.get(key)))
     return planned
 
 

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, FiniteFloat
 
-from impact_envs.rollout import Episode
-
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -59,19 +57,22 @@ class Metric:
     Attributes:
         name: of its column in an episode's row.
         unit: of the number.
-        compute: from an episode and its scenario; a JSON value.
+        compute: from an episode and its scenario, and where `of_plan` from the plan that was followed, None without
+            one; a JSON value, None where it is not applicable.
         aggregates: what sums it up.
         compare: keys that sum up the paired difference of two policies, from its columns a and b by seed.
         required: whether every evaluation on disk has it; a metric added later is not required.
+        of_plan: whether it also needs the plan.
         kind: type of the number as it is read back from a file.
     """
 
     name: str
     unit: str
-    compute: Callable[[Episode, Any], Any]
+    compute: Callable[..., Any]
     aggregates: tuple[Aggregate, ...] = ()
     compare: Callable[[pd.Series, pd.Series], dict[str, Any]] | None = None
     required: bool = False
+    of_plan: bool = False
     kind: Any = FiniteFloat | None
 
 

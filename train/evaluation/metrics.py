@@ -32,6 +32,8 @@ from train.evaluation.statistics import GROUP, compute_median_interval, compute_
 if TYPE_CHECKING:
     import pandas as pd
 
+    from planners.plan import Plan
+
 
 def _compute_success_interval(values: pd.Series) -> list[float]:
     return list(compute_wilson_interval(int(values.sum()), len(values)))
@@ -181,18 +183,22 @@ def find_metrics(domain: str) -> tuple[Metric, ...]:
     return find_part("train", domain, "METRICS") or ()
 
 
-def measure(metrics: Iterable[Metric], episode: Episode, scenario: Any) -> dict[str, Any]:
+def measure(metrics: Iterable[Metric], episode: Episode, scenario: Any, plan: Plan | None = None) -> dict[str, Any]:
     """Return the numbers of an episode by the metrics' names.
 
     Args:
         metrics: what is measured.
         episode: what happened.
         scenario: where.
+        plan: that was followed.
     """
-    return {metric.name: metric.compute(episode, scenario) for metric in metrics}
+    return {
+        metric.name: metric.compute(episode, scenario, plan) if metric.of_plan else metric.compute(episode, scenario)
+        for metric in metrics
+    }
 
 
-def make_row(episode: Episode, scenario: Any, suite: str, policy: str) -> dict[str, Any]:
+def make_row(episode: Episode, scenario: Any, suite: str, policy: str, plan: Plan | None = None) -> dict[str, Any]:
     """Return an episode's tidy row.
 
     Args:
@@ -200,12 +206,13 @@ def make_row(episode: Episode, scenario: Any, suite: str, policy: str) -> dict[s
         scenario: where, in its suite.
         suite: name of the suite.
         policy: label of the policy.
+        plan: that it followed.
 
     Returns:
         One JSON object; ``fallback_kinds`` is JSON text, ``solve_ms`` the list of all solve times [ms].
     """
     key = {"scenario": episode.scenario, "suite": suite, "policy": policy, "seed": episode.seed}
-    return key | measure((*METRICS, *find_metrics(scenario.domain)), episode, scenario)
+    return key | measure((*METRICS, *find_metrics(scenario.domain)), episode, scenario, plan)
 
 
 class RowKey(BaseModel):

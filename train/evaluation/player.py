@@ -137,10 +137,10 @@ class _Player:
             self._policies[key] = make_policy(job.policy, case.scenario, case.plan, case.options)
         env = self._envs[job.case]
         episode = rollout(env, self._policies[key], job.seed)
-        row = make_row(episode, case.scenario, case.suite, job.policy)
+        plan = case.plan if has_expert(job.policy) else None
+        row = make_row(episode, case.scenario, case.suite, job.policy, plan)
         if not job.replay:
             return row, None
-        plan = case.plan if has_expert(job.policy) else None
         return row, episode_to_dict(episode, case.scenario, case.suite, env.task.shapes(), plan)
 
 

@@ -112,7 +112,7 @@ def open_filters(plan: PlanTable, memory: WorldMemory, options: Options, k: int)
         memory.filter[k, i] = BLANK_FILTER
         z.position, z.velocity = body.start, body.start_velocity
         z.P_pp, z.P_vv = (
-            options.estimation.start_position * options.estimation.start_position,
+            options.estimation.start_position * options.estimation.start_position + body.spread * body.spread / 3.0,
             options.estimation.start_velocity * options.estimation.start_velocity,
         )
         if options.drift and i >= plan.robots and body.keep_force == 0.0:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from impact_envs.errors import InputError, choices
+from planners.free_flyer.tracking.problem import PUBLISHED_WEIGHTS, Weights
 from planners.options import Cosine, Count, CountOrNone, Positive, Share, Spread
 
 # Options.tracker in compiled code: by the compiled MPC, by LQR, by an object that Python calls.
@@ -115,6 +116,18 @@ class Reach:
 
 
 @dataclass(frozen=True)
+class Published:
+    """Numbers of the parts of Verhagen & Tumova that the expert replaces, from the published code."""
+
+    robot_weight: Positive = 1e-4  # Q_2 / Q_1 of Eq. 32: the robot's velocity before an impact over the object's after
+    miss_weight: Positive = 1e4  # of the squares of Eqs. 29c and 29d, over that of the acceleration
+    clearance: float = 0.1  # kept by the barrier between the edges of a robot and an object [m]
+    damping: float = 2.0  # gamma_1 of the barrier h'' + gamma_1 h' + gamma_0 h >= 0 [1/s]
+    stiffness: float = 1.0  # gamma_0 [1/s^2]
+    open: float = 5.0  # before its impact a robot has no barrier to what it hits [s]
+
+
+@dataclass(frozen=True)
 class Replanning:
     """The course of a robot to an impact."""
 
@@ -200,34 +213,41 @@ class Background:
 
 @dataclass(frozen=True)
 class Options:
-    """Parts of the closed loop and their numbers; what has none of the numbers' groups is a switch.
+    """Parts of the closed loop and their numbers; what has none of the numbers' groups is a switch, off in the paper.
 
     Attributes:
         once: plan each impact once, as the published code does; otherwise every 0.5 s, as the paper says.
+        exact: a quintic to an impact that gives the object the desired velocity; otherwise the published replanner: the
+            course of least acceleration of Eq. 29 to the compromise of Eq. 32.
+        avoid: keep off all bodies that are not to be hit, as far as braking takes; otherwise the published barrier,
+            which is one of robots to objects.
         learn: estimate restitution and mass from what impacts did.
         retime: move an impact to when the object is where it should be hit, and try a missed one again.
         drift: a constant unknown acceleration of every object in its filter.
         insert: add an unplanned impact when the object would miss its next target; slow it gently at the goal.
         reoptimise: choose times and places of the impacts that are left anew after each one.
         plan_anew: plan the rest in the background, with who hits what open, where that fails.
-        avoid: keep off bodies that are not to be hit.
         tracker: what follows the courses, a name of `tracking.trackers.TRACKERS`.
+        weights: of the tracking cost; in the paper those of App. B.
     """
 
     once: bool = False
+    exact: bool = True
+    avoid: bool = True
     learn: bool = True
     retime: bool = True
     drift: bool = True
     insert: bool = True
     reoptimise: bool = True
     plan_anew: bool = True
-    avoid: bool = True
     tracker: str = "mpc"
+    weights: Weights = Weights()  # noqa: RUF009 - frozen
     estimation: Estimation = Estimation()
     impact_parameters: ImpactParameters = ImpactParameters()
     timing: Timing = Timing()
     aim: Aim = Aim()
     reach: Reach = Reach()
+    published: Published = Published()
     replanning: Replanning = Replanning()
     retiming: Retiming = Retiming()
     insertion: Insertion = Insertion()
@@ -237,17 +257,39 @@ class Options:
 
 
 EXPERT = Options()
-# Each is the one before and more; the last part makes the expert.
-_PAPER = Options(learn=False, retime=False, drift=False, insert=False, reoptimise=False, plan_anew=False, avoid=False)
-VARIANTS = {
-    "one_replan": replace(_PAPER, once=True),
-    "paper_expert": _PAPER,
-    "with_learning": replace(_PAPER, learn=True),
-    "with_retiming": replace(_PAPER, learn=True, retime=True),
-    "with_drift": replace(_PAPER, learn=True, retime=True, drift=True),
-    "with_insertion": replace(EXPERT, reoptimise=False, plan_anew=False),
-    "with_reoptimisation": replace(EXPERT, plan_anew=False),
-}
+_PAPER = Options(
+    exact=False,
+    avoid=False,
+    learn=False,
+    retime=False,
+    drift=False,
+    insert=False,
+    reoptimise=False,
+    plan_anew=False,
+    weights=PUBLISHED_WEIGHTS,
+)
+# What the paper has is replaced, or what it lacks is added, one part a rung: each has all parts of the rung before.
+_LADDER: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("paper_expert", {}),
+    ("with_weights", {"weights": EXPERT.weights}),
+    ("with_exact_impacts", {"exact": True}),
+    ("with_avoidance", {"avoid": True}),
+    ("with_learning", {"learn": True}),
+    ("with_retiming", {"retime": True}),
+    ("with_drift", {"drift": True}),
+    ("with_insertion", {"insert": True}),
+    ("with_reoptimisation", {"reoptimise": True}),
+)
+
+
+def _build_variants() -> dict[str, Options]:
+    found, options = {"one_replan": replace(_PAPER, once=True)}, _PAPER
+    for name, part in _LADDER:
+        found[name] = options = replace(options, **part)
+    return found
+
+
+VARIANTS = _build_variants()
 
 
 def get_options(variant: str | None) -> Options:

@@ -10,10 +10,11 @@ import numpy as np
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.free_flyer.specification.impact_demand import Knot, find_knots, find_own_faces
 from planners.free_flyer.tracking.course import convert_curve
-from planners.free_flyer.tracking.problem import build_tracking_problem
-from planners.plan import Plan
+from planners.free_flyer.tracking.problem import Weights, build_tracking_problem
+from planners.plan import Plan, Tube
 
 NO_IMPACT = -1
+ROUND_OFF = 1e-6  # of times [s]
 TOUCHING = 0.1  # touching a wall counts as so far inside of what a robot may not leave [m]
 
 BODY = np.dtype(
@@ -25,6 +26,7 @@ BODY = np.dtype(
         ("mass", float),  # [kg]
         ("radius", float),  # [m]
         ("speed_limit", float),  # per axis [m/s]
+        ("spread", float),  # greatest half width of the box it may start in [m]
         ("keep_force", float),  # by which an object keeps its velocity [N]
     ]
 )
@@ -46,6 +48,9 @@ KNOT = np.dtype(
         ("closes", float),
         ("depth", float),  # planned distance to the nearest face, inf without faces [m]
         ("faces", int),  # number of faces
+        # Box for which the plan promises that all goes on well, empty where it promises nothing [m].
+        ("lower", float, 2),
+        ("upper", float, 2),
     ]
 )
 # The points p with normal . p <= offset.
@@ -81,7 +86,9 @@ class PlanTable(NamedTuple):
         breaks: breakpoints of the robots' curves, filled up by inf, shape (r, S + 1) [s].
         coefficients: of their segments in power basis, shape (r, S, d + 1, 2) [m].
         side: SIDE of each object that is no disc, shape (objects, d).
-        pilot: of each robot's tracking problem, shape (r, 33).
+        pilot: of each robot's tracking problem, shape (r, 52).
+        last: of each object, how long the plan lets it fly after its last impact if the plan says how much it may be
+            off then, 0 otherwise, shape (objects,) [s].
     """
 
     period: float
@@ -98,18 +105,26 @@ class PlanTable(NamedTuple):
     coefficients: np.ndarray
     side: np.ndarray
     pilot: np.ndarray
+    last: np.ndarray
 
 
-def make_plan_table(scenario: FreeFlyerScenario, plan: Plan, begin: float = 0.0) -> PlanTable:
+def make_plan_table(
+    scenario: FreeFlyerScenario,
+    plan: Plan,
+    begin: float = 0.0,
+    weights: Weights = Weights(),  # noqa: B008 - frozen
+) -> PlanTable:
     """Make the tables of a plan.
 
     Args:
         scenario: as believed.
         plan: to execute.
         begin: when the scenario and the plan begin [s].
+        weights: of the tracking cost.
     """
     impact, first, knots = _make_impacts(scenario, plan, begin)
     knot, face = _make_knots(knots, begin)
+    _write_boxes(scenario, plan, impact, knot, begin)
     breaks, coefficients = _make_curves(scenario, plan)
     return PlanTable(
         float(scenario.control_period),
@@ -125,7 +140,10 @@ def make_plan_table(scenario: FreeFlyerScenario, plan: Plan, begin: float = 0.0)
         begin + breaks,
         coefficients,
         _make_sides(scenario),
-        np.array([build_tracking_problem(robot, scenario.control_period).row for robot in scenario.robots.values()]),
+        np.array(
+            [build_tracking_problem(robot, scenario.control_period, weights).row for robot in scenario.robots.values()]
+        ),
+        np.array([_find_last_flight(plan, name) for name in scenario.objects]),
     )
 
 
@@ -136,6 +154,7 @@ def _make_bodies(scenario: FreeFlyerScenario) -> np.ndarray:
         row["start"], row["start_velocity"] = body.start, body.start_velocity
         row["heading"], row["start_rate"] = body.heading, body.start_rate
         row["mass"], row["radius"], row["speed_limit"] = body.mass, body.radius, body.speed_limit
+        row["spread"] = max(getattr(body, "start_uncertainty", (0.0, 0.0)))
         row["keep_force"] = getattr(body, "keep_force", 0.0)
     return table
 
@@ -167,6 +186,39 @@ def _make_knots(knots: list[Knot], begin: float) -> tuple[np.ndarray, np.ndarray
         row["position"], row["depth"], row["faces"] = knot.position, min(margins, default=np.inf), len(knot.faces)
         row["opens"], row["closes"] = (begin + time for time in knot.window)
     return table, face
+
+
+def _write_boxes(scenario: FreeFlyerScenario, plan: Plan, impact: np.ndarray, knot: np.ndarray, begin: float) -> None:
+    """Write the boxes of the plan's tubes at the knots."""
+    knot["lower"], knot["upper"] = np.inf, -np.inf
+    ends = np.full(len(scenario.objects), begin + plan.horizon)
+    bodies = np.append(impact["body"] - len(scenario.robots), np.arange(len(scenario.objects)))
+    for row, time, o in zip(knot, np.append(impact["time"], ends), bodies, strict=True):
+        tube = plan.tubes.get(list(scenario.objects)[o])
+        if tube is not None:
+            centre, half = read_tube(tube, np.array([time - begin]))
+            row["lower"], row["upper"] = (centre - half)[0], (centre + half)[0]
+
+
+def read_tube(tube: Tube, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return centres and half widths of a tube's boxes of positions, before what happens at a breakpoint.
+
+    Args:
+        tube: of an object.
+        times: within it, shape (n,) [s].
+
+    Returns:
+        Centres and half widths, shapes (n, 2) [m].
+    """
+    segment = np.clip(np.searchsorted(tube.times, times - ROUND_OFF, side="right") - 1, 0, len(tube.times) - 2)
+    share = ((times - tube.times[segment]) / np.diff(tube.times)[segment])[:, None, None]
+    boxes = (1.0 - share) * tube.start[segment] + share * tube.end[segment]
+    return boxes[:, 0, :2], boxes[:, 1, :2]
+
+
+def _find_last_flight(plan: Plan, name: str) -> float:
+    times = [planned.time for planned in plan.impacts if planned.object == name]
+    return plan.horizon - times[-1] if times and name in plan.tubes else 0.0
 
 
 def _write_half_planes(planes: np.ndarray, rows: Sequence[np.ndarray]) -> None:

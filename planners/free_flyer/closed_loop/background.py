@@ -189,7 +189,7 @@ class Background:
         if answer is None:
             memory.counts["no_plan"][k] += 1
             return None
-        table = make_plan_table(request.scenario, Plan.from_json(answer), request.begin)
+        table = make_plan_table(request.scenario, Plan.from_json(answer), request.begin, self._options.weights)
         if len(table.impact) > memory.clock.shape[1]:
             memory.counts["no_plan"][k] += 1
             return None

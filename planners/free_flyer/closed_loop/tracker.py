@@ -11,7 +11,7 @@ from planners.free_flyer.belief.impact_parameters import compute_pair_gain, get_
 from planners.free_flyer.belief.options import BY_LQR, BY_MPC, Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
-from planners.free_flyer.closed_loop.avoidance import NO_TARGET, avoid_bodies
+from planners.free_flyer.closed_loop.avoidance import NO_TARGET, avoid_bodies, hold_barrier
 from planners.free_flyer.tracking.course import evaluate_course
 from planners.free_flyer.tracking.lqr import solve_lqr
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT, NO_JUMP, STAGES, Workspace, solve_tracking
@@ -85,14 +85,17 @@ def apply_solution(
             shifted.count = left - 1
     if left == 0:
         feed_back(plan, memory, workspace, c, k, r, actions)
+    g, cos, sin = pilot[GAIN], math.cos(heading), math.sin(heading)
+    ax = g * (cos * actions[k, r, 0] - sin * actions[k, r, 1])
+    ay = g * (sin * actions[k, r, 0] + cos * actions[k, r, 1])
+    striking = o != NO_OBJECT and memory.course[k, r].ends_in_impact
     if options.avoid:
-        g, cos, sin = pilot[GAIN], math.cos(heading), math.sin(heading)
-        ax = g * (cos * actions[k, r, 0] - sin * actions[k, r, 1])
-        ay = g * (sin * actions[k, r, 0] + cos * actions[k, r, 1])
-        striking = o != NO_OBJECT and memory.course[k, r].ends_in_impact
         bx, by, _ = avoid_bodies(plan, memory, options, k, r, plan.robots + o if striking else NO_TARGET, ax, ay)
-        if bx != ax or by != ay:
-            actions[k, r, 0], actions[k, r, 1] = (cos * bx + sin * by) / g, (cos * by - sin * bx) / g
+    else:
+        striking = striking and memory.strike[k, o].time - memory.time[k] <= options.published.open
+        bx, by, _ = hold_barrier(plan, memory, options, k, r, plan.robots + o if striking else NO_TARGET, ax, ay)
+    if bx != ax or by != ay:
+        actions[k, r, 0], actions[k, r, 1] = (cos * bx + sin * by) / g, (cos * by - sin * bx) / g
     for i in range(3):
         limit = pilot[INPUT_LIMIT + i]
         actions[k, r, i] = min(max(actions[k, r, i] / limit, -1.0), 1.0)

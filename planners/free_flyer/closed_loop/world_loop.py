@@ -33,7 +33,7 @@ from planners.free_flyer.next_impact.bookkeeping import (
     take_contact,
     take_misses,
 )
-from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF
+from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, is_promised
 from planners.free_flyer.next_impact.insertion import insert_impact
 from planners.free_flyer.next_impact.reoptimisation import reoptimise_rest
 from planners.free_flyer.next_impact.replanner import replan_course
@@ -188,7 +188,9 @@ def look_ahead(plan: PlanTable, memory: WorldMemory, options: Options, qp: RestQ
         if not settled or strike.is_inserted or now < strike.looked_at + options.timing.replan_period - ROUND_OFF:
             continue
         strike.looked_at = now
-        if options.reoptimise and strike.last_contact > strike.optimised_at and strike.index != NO_IMPACT:
+        # Times and places of the plan stay while it promises success with them.
+        kept = strike.index != NO_IMPACT and is_promised(plan, memory, k, o)
+        if not kept and options.reoptimise and strike.last_contact > strike.optimised_at and strike.index != NO_IMPACT:
             strike.optimised_at = now
             if reoptimise_rest(plan, memory, options, qp, c, k, o, now):
                 memory.counts[k].reoptimised += 1
@@ -200,7 +202,8 @@ def look_ahead(plan: PlanTable, memory: WorldMemory, options: Options, qp: RestQ
                     strike.astray_since, now - options.insertion.long_astray + options.insertion.soon
                 )
         if (
-            options.retime
+            not kept
+            and options.retime
             and strike.last_contact > 0.0
             and strike.index != NO_IMPACT
             and now <= strike.time - options.retiming.frozen

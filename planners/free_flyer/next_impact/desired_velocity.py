@@ -25,6 +25,15 @@ def compute_margin(plan: PlanTable, knot: int, x: float, y: float) -> float:
 
 
 @compiled
+def is_promised(plan: PlanTable, memory: WorldMemory, k: int, o: int) -> bool:
+    """Return whether object o will be in the box for which the plan promises that its further impacts do."""
+    index = memory.strike[k, o].index
+    x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, memory.clock[k, index])
+    lower, upper = plan.knot[index].lower, plan.knot[index].upper
+    return lower[0] <= x <= upper[0] and lower[1] <= y <= upper[1]
+
+
+@compiled
 def find_next_knot(plan: PlanTable, memory: WorldMemory, k: int, o: int, inserted: bool) -> tuple[int, float, bool]:
     """Return the knot after the coming impact of object o, when it is expected, and whether it is the end.
 
@@ -79,8 +88,12 @@ def choose_desired_velocity(
     limit = plan.body[body].speed_limit
     if not last or not options.insert or plan.knot[knot].faces == 0:
         return compute_desired_velocity(x, y, target_x, target_y, duration, z.drift[0], z.drift[1], limit)
-    # The depth that is enough grows with the time that is left, up to the plan's.
-    extra = min(max(duration / options.aim.full_correction - 0.5, 0.0) * 2.0, 1.0)
+    # The depth that is enough grows with the time that is left, up to the plan's; a plan that says what happens if the
+    # object is off may leave less time.
+    full = options.aim.full_correction
+    if plan.last[o] > 0.0:
+        full = min(full, plan.last[o])
+    extra = min(max(duration / full - 0.5, 0.0) * 2.0, 1.0)
     enough = (options.aim.deep_enough + (1.0 - options.aim.deep_enough) * extra) * plan.knot[knot].depth
     best, chosen = -math.inf, 1.0
     for i in range(options.aim.shares + 1):

@@ -8,13 +8,19 @@ from impact_envs.compiled import compiled
 from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.impact_parameters import get_pair
 from planners.free_flyer.belief.options import Options
-from planners.free_flyer.belief.plan_table import PlanTable
+from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.next_impact.bookkeeping import set_time
 from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, choose_desired_velocity, hasten_next_knot
 from planners.free_flyer.next_impact.reachability import is_reachable
-from planners.free_flyer.next_impact.two_body import solve_two_body_impact
-from planners.free_flyer.tracking.course import evaluate_course, plan_approach
+from planners.free_flyer.next_impact.two_body import solve_soft_two_body_impact, solve_two_body_impact
+from planners.free_flyer.tracking.course import (
+    evaluate_course,
+    evaluate_curve,
+    plan_approach,
+    read_clock,
+)
+from planners.free_flyer.tracking.least_acceleration import plan_least_acceleration
 
 
 @compiled
@@ -33,18 +39,30 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     desired = (vx + dx, vy + dy)
     normal = (strike.reference_normal[0], strike.reference_normal[1])
     restitution, ratio = get_pair(memory, k, r, o)
-    solution = solve_two_body_impact(
-        (x, y),
-        (vx, vy),
-        desired,
-        (vx, vy),
-        normal,
-        plan.body[r].mass,
-        ratio * plan.body[r].mass,
-        restitution,
-        plan.body[r].radius + distance,
-        plan.body[r].speed_limit,
-    )
+    mass, reach, limit = plan.body[r].mass, plan.body[r].radius + distance, plan.body[r].speed_limit
+    if options.exact:
+        solution = solve_two_body_impact(
+            (x, y), (vx, vy), desired, (vx, vy), normal, mass, ratio * mass, restitution, reach, limit
+        )
+    else:
+        robot_wish = (vx, vy)
+        if strike.index != NO_IMPACT and not strike.is_inserted:
+            planned = evaluate_curve(plan.breaks, plan.coefficients, r, plan.impact[strike.index].time, True)
+            robot_wish = (planned[2], planned[3])
+        solution = solve_soft_two_body_impact(
+            (x, y),
+            (vx, vy),
+            desired,
+            robot_wish,
+            normal,
+            mass,
+            ratio * mass,
+            restitution,
+            reach,
+            limit,
+            1.0,
+            options.published.robot_weight,
+        )
     strike.outcome, strike.is_solved = solution.outcome.value, True
     strike.normal[0], strike.normal[1] = solution.normal
     strike.contact[0], strike.contact[1] = solution.contact
@@ -66,9 +84,18 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         begin = (z.position[0], z.position[1], z.velocity[0], z.velocity[1], begin[4], begin[5])
         if options.retime:
             postpone_impact(plan, memory, options, k, r, o, now)
+    strike.replanned_at = now
+    memory.counts[k].replans += 1
     index = strike.index
     planned = -1.0 if strike.is_inserted else plan.impact[index].time
     vx, vy = strike.robot_minus[0], strike.robot_minus[1]
+    if not options.exact:
+        course, contact = memory.course[k, r], (strike.contact[0], strike.contact[1])
+        tau = min(read_clock(course, now), course.stop)
+        base = evaluate_curve(plan.breaks, plan.coefficients, r, tau, True)
+        limit, miss = plan.body[r].speed_limit, options.published.miss_weight
+        plan_least_acceleration(course, now, begin, (base[0], base[1]), contact, (vx, vy), strike.time, limit, miss)
+        return
     # The slower robot and object meet, the more a small error of position shifts the time: then come at constant speed.
     slow = max(math.hypot(vx - strike.object_minus[0], vy - strike.object_minus[1]), ROUND_OFF)
     steady = min(
@@ -88,8 +115,6 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         strike.time - steady,
         planned,
     )
-    strike.replanned_at = now
-    memory.counts[k].replans += 1
 
 
 @compiled

@@ -129,6 +129,75 @@ def solve_two_body_impact(
 
 
 @compiled
+def solve_soft_two_body_impact(
+    object_position: Pair,
+    object_minus: Pair,
+    object_desired: Pair,
+    robot_wish: Pair,
+    default_normal: Pair,
+    robot_mass: float,
+    object_mass: float,
+    restitution: float,
+    reach: float,
+    speed_limit: float,
+    object_weight: float,
+    robot_weight: float,
+) -> TwoBodyImpact:
+    r"""Solve the two-body impact problem with both velocities as wishes, exactly, as a 2x2 eigenproblem.
+
+    min  w_O |v_O^+ - v_des|^2 + w_R |v_R^- - w|^2  over n, v_R^- with (v_R^- - v_O^-) . n >= 0 and Eq. 6
+
+    With Delta = v_des - v_O^-, g = w - v_O^-, s = (v_R^- - v_O^-) . n and the tangential speed of the wish the cost is
+    w_O |alpha s n - Delta|^2 + w_R (s - g . n)^2. Its minimum over s, where D = w_O alpha^2 + w_R and
+    b = w_O alpha Delta + w_R g, is at s = b . n / D:  J(n) = w_O |Delta|^2 + n' M n,  M = w_R g g' - b b' / D.
+    So n is the eigenvector of M to its smaller eigenvalue, with the sign for which b . n >= 0. That eigenvalue is never
+    positive, because det M = -w_R w_O^2 alpha^2 (g x Delta)^2 / D: the best impact costs no more than none at all. As
+    w_R / w_O goes to 0 the answer goes to that of `solve_two_body_impact`. Where a speed limit forbids s, n stays
+    and s is as near as possible.
+
+    Args:
+        object_position, object_minus, object_desired: see `solve_two_body_impact`.
+        robot_wish: w, velocity that the robot should have before [m/s].
+        default_normal: unit normal to take where all are equally good.
+        robot_mass, object_mass, restitution, reach, speed_limit: see `solve_two_body_impact`.
+        object_weight: w_O, positive, on the object's velocity [s^2/m^2].
+        robot_weight: w_R, positive, on the robot's velocity [s^2/m^2].
+
+    Returns:
+        The answer, whose outcome says whether it is the optimum.
+
+    Source: Verhagen & Tumova, Appendix A, Eq. 32 with squared norms, and Eq. 6.
+    """
+    alpha = compute_velocity_gain(restitution, robot_mass, object_mass)
+    gx, gy = robot_wish[0] - object_minus[0], robot_wish[1] - object_minus[1]
+    pull, D = object_weight * alpha, object_weight * alpha * alpha + robot_weight
+    bx = pull * (object_desired[0] - object_minus[0]) + robot_weight * gx
+    by = pull * (object_desired[1] - object_minus[1]) + robot_weight * gy
+    xx, xy = robot_weight * gx * gx - bx * bx / D, robot_weight * gx * gy - bx * by / D
+    yy = robot_weight * gy * gy - by * by / D
+    normal = default_normal
+    if xx != 0.0 or xy != 0.0 or yy != 0.0:
+        larger = math.atan2(2.0 * xy, xx - yy) / 2.0
+        normal = (-math.sin(larger), math.cos(larger))
+    approach = (bx * normal[0] + by * normal[1]) / D
+    if approach < 0.0:
+        normal, approach = (-normal[0], -normal[1]), -approach
+    return limit_approach(
+        object_position,
+        object_minus,
+        robot_wish,
+        normal,
+        approach,
+        alpha * approach > NO_CHANGE,
+        alpha,
+        robot_mass,
+        object_mass,
+        reach,
+        speed_limit,
+    )
+
+
+@compiled
 def limit_approach(
     object_position: Pair,
     object_minus: Pair,

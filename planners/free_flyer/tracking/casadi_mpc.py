@@ -15,7 +15,7 @@ import numpy as np
 
 from impact_envs.errors import InputError, choices
 from planners.errors import SolverFailed
-from planners.free_flyer.tracking.problem import NO_JUMP, STAGES, TrackingProblem, TrackingTask
+from planners.free_flyer.tracking.problem import NO_JUMP, STAGES, TrackingProblem, TrackingTask, make_matrices
 
 SOLVERS: dict[str, dict[str, Any]] = {
     "fatrop": {
@@ -73,7 +73,7 @@ def build_casadi_tracking(problem: TrackingProblem, solver: str | None = None) -
     Raises:
         InputError: unknown solver.
 
-    Source: Verhagen & Tumova, Eqs. 31 and 33 with the weights of `problem.Weights`.
+    Source: Verhagen & Tumova, Eqs. 31 and 33; with `problem.PUBLISHED_WEIGHTS` App. B.
     """
     import casadi as ca
 
@@ -89,7 +89,7 @@ def build_casadi_tracking(problem: TrackingProblem, solver: str | None = None) -
 
     state, reference = ca.SX.sym("state", 6), ca.SX.sym("reference", 6, STAGES + 1)
     forward, stage = ca.SX.sym("forward", 3, STAGES), ca.SX.sym("stage", 5, STAGES)
-    effort, tables = ca.DM(np.diag(problem.effort)), [ca.DM(matrix) for matrix in problem.weight_matrices]
+    effort, tables = ca.DM(np.diag(problem.effort)), [ca.SX.sym(name, 6, 6) for name in ("stages", "end")]
     x, u = make_variables(6, 3)
     cost, rules = 0, []
     for k in range(STAGES):
@@ -97,7 +97,7 @@ def build_casadi_tracking(problem: TrackingProblem, solver: str | None = None) -
         rules += [x[k + 1] - integrate(flow, start, u[k], stage[4, k]), *([x[0] - state] if k == 0 else [])]
         off, push = x[k + 1] - reference[:, k + 1], u[k] - forward[:, k]
         cost += ca.bilin(tables[k == STAGES - 1], off) + ca.bilin(effort, push)
-    parameters = ca.vertcat(state, *map(ca.vec, (reference, forward, stage)))
+    parameters = ca.vertcat(state, *map(ca.vec, (reference, forward, stage, *tables)))
     program = {"x": interleave(x, u), "f": cost, "g": ca.vertcat(*rules), "p": parameters}
     return compile_mpc(f"tracking MPC by {solver}", solver, program, SOLVERS[solver], problem, 6, problem.limits)
 
@@ -115,7 +115,8 @@ def solve_casadi_tracking(mpc: CasadiTracking, task: TrackingTask) -> np.ndarray
     Raises:
         SolverFailed: the solver did not converge.
     """
-    parts = (task.state, task.states, task.inputs, list_stages(task))
+    weights = make_matrices(mpc.problem.select_weights(task.node))
+    parts = (task.state, task.states, task.inputs, list_stages(task), weights)
     return solve_mpc(mpc, np.concatenate([part.ravel() for part in parts]))
 
 

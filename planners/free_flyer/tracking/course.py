@@ -209,7 +209,8 @@ def plan_approach(
         time: of the impact, after now [s].
         planned: plan's time of the impact; at or before the plan's present time the plan stands still [s].
 
-    Source: Verhagen & Tumova, Eq. 29, with a quintic correction in place of the QP.
+    Source: Verhagen & Tumova, Eq. 29, with a quintic correction in place of the QP of
+        `least_acceleration.plan_least_acceleration`.
     """
     tau = min(read_clock(course, now), course.stop)
     still = planned <= tau

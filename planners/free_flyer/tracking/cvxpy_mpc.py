@@ -22,7 +22,7 @@ import numpy as np
 
 from impact_envs.errors import InputError
 from planners.errors import SolverFailed
-from planners.free_flyer.tracking.problem import STAGES, TrackingProblem, TrackingTask
+from planners.free_flyer.tracking.problem import STAGES, TrackingProblem, TrackingTask, make_matrices
 
 # Takes cones, and finds first inputs to 1e-7 of the limits; OSQP is off by 0.03 or fails, DAQP is twelve times slower.
 SOLVER = cp.CLARABEL
@@ -60,16 +60,18 @@ def build_cvxpy_mpc(problem: TrackingProblem) -> CvxpyMpc:
     Args:
         problem: the same that `mpc.solve_tracking` solves.
 
-    Source: Verhagen & Tumova, Eqs. 31 and 33 with the weights of `problem.Weights`.
+    Source: Verhagen & Tumova, Eqs. 31 and 33; with `problem.PUBLISHED_WEIGHTS` App. B.
     """
     x, u = cp.Variable((STAGES + 1, 6), name="states"), cp.Variable((STAGES, 3), name="inputs")
     state, states = cp.Parameter(6, name="state"), cp.Parameter((STAGES + 1, 6), name="reference_states")
     inputs = cp.Parameter((STAGES, 3), name="reference_inputs")
-    parameters = {"state": state, "states": states, "inputs": inputs}
-    Q, P = (np.linalg.cholesky(matrix) for matrix in problem.weight_matrices)
+    Q, P = cp.Parameter((6, 6), name="Q"), cp.Parameter((6, 6), name="P")
+    parameters = {"state": state, "states": states, "inputs": inputs, "Q": Q, "P": P}
     cost = cp.sum_squares((u - inputs) @ np.diag(np.sqrt(problem.effort)))
-    cost += cp.sum_squares((x[1:STAGES] - states[1:STAGES]) @ Q) + cp.sum_squares((x[STAGES] - states[STAGES]) @ P)
-    rules = [x[0] == state, u <= problem.limits[None, :], u >= -problem.limits[None, :]]
+    # Parameters may not be multiplied with each other: errors are variables.
+    off = cp.Variable((STAGES, 6), name="errors")
+    cost += cp.sum_squares(off[: STAGES - 1] @ Q) + cp.sum_squares(off[STAGES - 1] @ P)
+    rules = [off == x[1:] - states[1:], x[0] == state, u <= problem.limits[None, :], u >= -problem.limits[None, :]]
     for k in range(STAGES):
         A, B, c = (cp.Parameter(shape, name=f"{name}[{k}]") for name, shape in (("A", (6, 6)), ("B", (6, 3)), ("c", 6)))
         parameters |= {f"A[{k}]": A, f"B[{k}]": B, f"c[{k}]": c}
@@ -117,6 +119,8 @@ def solve_cvxpy_mpc(mpc: CvxpyMpc, problem: TrackingProblem, task: TrackingTask)
     if not all(np.isfinite(values).all() for values in task):
         raise SolverFailed(NAME, "the task is not finite", REMEDY)
     parameters["state"].value, parameters["states"].value, parameters["inputs"].value = task[:3]
+    for name, matrix in zip("QP", make_matrices(problem.select_weights(task.node)), strict=True):
+        parameters[name].value = np.linalg.cholesky(matrix)
     for k in range(STAGES):
         for name, value in zip("ABc", compute_stage(problem, task, k), strict=True):
             parameters[f"{name}[{k}]"].value = value

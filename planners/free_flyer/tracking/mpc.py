@@ -15,9 +15,11 @@ from impact_envs.compiled import compiled
 from planners.free_flyer.tracking.box_qp import NEWTON_STEPS, NOT_SOLVED, solve_box_qp
 from planners.free_flyer.tracking.problem import (
     EFFORT,
+    ENDLESS,
     FEEDBACK,
     GAIN,
     INPUT_LIMIT,
+    NEAR_WEIGHT,
     NO_JUMP,
     STAGES,
     WEIGHT,
@@ -129,7 +131,7 @@ def condense(
         for channel in range(3):
             push_body(Z[size], channel, inputs[k, channel], heading, pilot, h)
             push_body(Z[3 * k + channel], channel, 1.0, heading, pilot, h)
-        W = WEIGHT + 9 if k == stages - 1 else WEIGHT
+        W = (WEIGHT if jump_node == NO_JUMP else NEAR_WEIGHT) + (9 if k == stages - 1 else 0)
         for i in range(3 * k + 3):
             for axis in range(3):
                 pp, pv, vv = pilot[W + 3 * axis], pilot[W + 3 * axis + 1], pilot[W + 3 * axis + 2]
@@ -276,7 +278,7 @@ def solve_tracking(workspace: Workspace, c: int, pilot: np.ndarray) -> bool:
     Returns:
         False if the QP was not solved within the Newton steps allowed, or the state is not finite.
     """
-    if workspace.node[c] == NO_JUMP and solve_freely(workspace, c, pilot):
+    if pilot[ENDLESS] == 1.0 and workspace.node[c] == NO_JUMP and solve_freely(workspace, c, pilot):
         return True
     H, g, inputs = workspace.H[c], workspace.vectors[c, 0], workspace.inputs[c]
     lower, upper, x = workspace.vectors[c, 1], workspace.vectors[c, 2], workspace.vectors[c, 3]

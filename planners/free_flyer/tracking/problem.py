@@ -11,12 +11,15 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
+from planners.options import Positive
+
 STAGES = 10  # 1 s at 10 Hz: Verhagen & Tumova, App. B
 NO_JUMP = 0
 
 # Columns of TrackingProblem.row: acceleration per input; limits; weights (pp, pv, vv) of each axis at the stages, then
-# at the end; effort; feedback (position, velocity) of each axis.
-GAIN, INPUT_LIMIT, WEIGHT, EFFORT, FEEDBACK = 0, 3, 6, 24, 27
+# at the end; effort; feedback (position, velocity) of each axis; weights with an impact in the horizon; 1 if the weight
+# of the end is the cost of going on for ever, 0 otherwise.
+GAIN, INPUT_LIMIT, WEIGHT, EFFORT, FEEDBACK, NEAR_WEIGHT, ENDLESS = 0, 3, 6, 24, 27, 33, 51
 
 
 @dataclass(frozen=True)
@@ -25,16 +28,28 @@ class Weights:
 
     Args:
         position, velocity: on errors of position [1/m^2] and velocity [s^2/m^2].
+        near_position, near_velocity: the same, while an impact is in the horizon.
         heading, rate: on errors of heading [1/rad^2] and angular velocity [s^2/rad^2].
         force, torque: on deviations from the feed-forward force [1/N^2] and torque [1/(N m)^2].
+        terminal: of the end over those of the stages; 0: the cost of going on for ever.
     """
 
-    position: float = 40.0
-    velocity: float = 40.0
-    heading: float = 5.0
-    rate: float = 0.5
-    force: float = 0.05
-    torque: float = 20.0
+    position: Positive = 40.0
+    velocity: Positive = 40.0
+    near_position: Positive = 40.0
+    near_velocity: Positive = 40.0
+    heading: Positive = 5.0
+    rate: Positive = 0.5
+    force: Positive = 0.05
+    torque: Positive = 20.0
+    terminal: float = 0.0
+
+
+# App. B. The square of its error of attitude, 1 - (q_ref' q)^2, has no curvature where it is zero: the heading, which
+# nothing turns in the paper, keeps the weights above.
+PUBLISHED_WEIGHTS = Weights(
+    position=5.0, velocity=0.8, near_position=1e-3, near_velocity=8e3, force=1e-3, terminal=10.0
+)
 
 
 class Actuated(Protocol):
@@ -66,6 +81,8 @@ class TrackingProblem:
         gains: acceleration per input, shape (3,) [1/kg, 1/kg, 1/(kg m^2)].
         limits: greatest input of either sign, shape (3,) [N, N, N m].
         weights: (pp, pv, vv) of each axis x, y, heading: at the stages, then at the end, shape (2, 3, 3).
+        near: the same with an impact in the horizon, shape (2, 3, 3).
+        endless: whether the weight of the end is the cost of going on for ever.
         effort: diagonal of R, shape (3,).
         feedback: LQR gain (position, velocity) of each axis, shape (3, 2).
     """
@@ -74,20 +91,20 @@ class TrackingProblem:
     gains: np.ndarray
     limits: np.ndarray
     weights: np.ndarray
+    near: np.ndarray
+    endless: bool
     effort: np.ndarray
     feedback: np.ndarray
 
-    @property
-    def weight_matrices(self) -> np.ndarray:
-        """Return the weights of the state as matrices: at the stages, then at the end, shape (2, 6, 6)."""
-        blocks = [[np.diag(column) for column in rows.T] for rows in self.weights]
-        return np.array([np.block([[pp, pv], [pv, vv]]) for pp, pv, vv in blocks])
+    def select_weights(self, node: int) -> np.ndarray:
+        """Return the weights of a step whose predicted impact comes at a node, or is not there, shape (2, 3, 3)."""
+        return self.weights if node == NO_JUMP else self.near
 
     @property
     def row(self) -> np.ndarray:
-        """Return everything but the period as one row for compiled code, shape (33,)."""
+        """Return everything but the period as one row for compiled code, shape (52,)."""
         parts = (self.gains, self.limits, self.weights.ravel(), self.effort, self.feedback.ravel())
-        return np.concatenate(parts)
+        return np.concatenate([*parts, self.near.ravel(), [float(self.endless)]])
 
 
 def build_tracking_problem(robot: Actuated, period: float, weights: Weights = Weights()) -> TrackingProblem:
@@ -99,25 +116,40 @@ def build_tracking_problem(robot: Actuated, period: float, weights: Weights = We
         weights: of the cost.
 
     Returns:
-        The problem, with the infinite-horizon cost as terminal weight.
+        The problem; feedback is the LQR of the weights without an impact.
 
     Source: Verhagen & Tumova, Eq. 31 and App. B; terminal weight: discrete algebraic Riccati equation.
     """
     gains = np.array([1.0 / robot.mass, 1.0 / robot.mass, 1.0 / robot.inertia])
-    position = np.array([weights.position, weights.position, weights.heading])
-    velocity = np.array([weights.velocity, weights.velocity, weights.rate])
     effort = np.array([weights.force, weights.force, weights.torque])
-    table, feedback = np.zeros((2, 3, 3)), np.zeros((3, 2))
-    table[0, :, 0], table[0, :, 2] = position, velocity
-    A = np.array([[1.0, period], [0.0, 1.0]])
-    for axis in range(3):
-        B = gains[axis] * np.array([[period**2 / 2], [period]])
-        R = effort[axis].reshape(1, 1)
-        P = solve_discrete_are(A, B, np.diag([position[axis], velocity[axis]]), R)
-        table[1, axis] = P[0, 0], P[0, 1], P[1, 1]
-        feedback[axis] = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)[0]
+    far, feedback = _weigh(weights.position, weights.velocity, weights, gains, period)
+    near, _ = _weigh(weights.near_position, weights.near_velocity, weights, gains, period)
     limits = np.array([robot.force_limit, robot.force_limit, robot.torque_limit])
-    return TrackingProblem(period, gains, limits, table, effort, feedback)
+    return TrackingProblem(period, gains, limits, far, near, weights.terminal == 0.0, effort, feedback)
+
+
+def _weigh(
+    position: float, velocity: float, weights: Weights, gains: np.ndarray, period: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a table of weights as in `TrackingProblem`, and the LQR gain of each axis, shape (3, 2)."""
+    table, feedback = np.zeros((2, 3, 3)), np.zeros((3, 2))
+    table[0, :, 0], table[0, :, 2] = (position, position, weights.heading), (velocity, velocity, weights.rate)
+    table[1] = weights.terminal * table[0]
+    A = np.array([[1.0, period], [0.0, 1.0]])
+    for axis, effort in enumerate((weights.force, weights.force, weights.torque)):
+        B = gains[axis] * np.array([[period**2 / 2], [period]])
+        R = np.array([[effort]])
+        P = solve_discrete_are(A, B, np.diag(table[0, axis, ::2]), R)
+        if weights.terminal == 0.0:
+            table[1, axis] = P[0, 0], P[0, 1], P[1, 1]
+        feedback[axis] = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)[0]
+    return table, feedback
+
+
+def make_matrices(weights: np.ndarray) -> np.ndarray:
+    """Return a table of weights as matrices: at the stages, then at the end, shape (2, 6, 6)."""
+    blocks = [[np.diag(column) for column in rows.T] for rows in weights]
+    return np.array([np.block([[pp, pv], [pv, vv]]) for pp, pv, vv in blocks])
 
 
 class TrackingTask(NamedTuple):

@@ -13,7 +13,7 @@ from planners.free_flyer.tracking.problem import TrackingProblem, TrackingTask
 from planners.free_flyer.tracking.protocol import Tracker
 
 COMPILED = ("mpc", "lqr")
-TRACKERS = (*COMPILED, "casadi", "cvxpy")
+TRACKERS = (*COMPILED, "casadi", "cvxpy", "published")
 OWN = "own"  # what Options.tracker says of a user's object
 
 
@@ -40,6 +40,10 @@ def find_tracker(chosen: str | Tracker) -> tuple[str, Tracker | None]:
         from planners.free_flyer.tracking.cvxpy_mpc import CvxpyTracker
 
         return chosen, CvxpyTracker()
+    if chosen == "published":
+        from planners.free_flyer.tracking.published_mpc import PublishedTracker
+
+        return chosen, PublishedTracker()
     if chosen not in COMPILED:
         raise InputError(f"tracker '{chosen}' is unknown; {choices(chosen, TRACKERS)}")
     return chosen, None

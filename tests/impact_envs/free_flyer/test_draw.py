@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from impact_envs import list_scenarios, load_scenario
+from impact_envs import InputError, list_scenarios, load_scenario, parallel_env, vector_env
 from impact_envs.free_flyer.schema import (
     DRIFT_X,
     DRIFT_Y,
@@ -16,6 +16,8 @@ from impact_envs.free_flyer.schema import (
     OFFSET_Y,
     RESTITUTION,
     RESTITUTION_SPEED,
+    START_X,
+    START_Y,
 )
 from impact_envs.stream import draw_doubles, seed_streams
 
@@ -113,3 +115,50 @@ def test_robots_neither_drift_nor_lean():
     for vectors in (drawn.body[:, :, OFFSET_X : OFFSET_Y + 1], drawn.body[:, :, DRIFT_X : DRIFT_Y + 1]):
         assert not np.any(vectors[:, :robots])
         assert np.all(np.any(vectors[:, robots:], axis=2))
+
+
+SPREAD = {"objects.pop.start_uncertainty": [0.1, 0.05], "true.start_spread": 1.0}
+
+
+def test_an_object_starts_anywhere_in_its_box():
+    scenario = load_scenario("throw_and_catch").override(SPREAD)
+    starts = draw_rows(scenario, range(2000))[0].body[:, :, START_X : START_Y + 1]
+    robots = len(scenario.robots)
+    assert not np.any(starts[:, :robots])
+    sides = starts[:, robots] / [0.1, 0.05]
+    assert np.all(np.abs(sides) <= 1.0)
+    assert np.all(np.abs(sides.mean(axis=0)) < 0.05)
+    assert np.all(np.abs(sides.std(axis=0) - 1 / math.sqrt(3)) < 0.03)
+    assert abs(np.corrcoef(sides.T)[0, 1]) < 0.08
+    half = draw_rows(scenario.override({"true.start_spread": 0.5}), range(10))[0].body[
+        :, robots:, START_X : START_Y + 1
+    ]
+    np.testing.assert_allclose(half[:, 0], starts[:10, robots] / 2, rtol=1e-12)
+
+
+def test_without_a_spread_nothing_more_is_drawn():
+    scenario = load_scenario("throw_and_catch")
+    uncertain = scenario.override({"objects.pop.start_uncertainty": [0.1, 0.05]})
+    assert uncertain.draw_count == scenario.draw_count
+    assert uncertain.override({"true.start_spread": 1.0}).draw_count == scenario.draw_count + 2
+
+
+@pytest.mark.parametrize("more", [{}, {"true.center_of_mass_offset": 0.03}, {"objects.pop.keep_force": 0.5}])
+def test_a_world_that_starts_elsewhere_is_one_of_many(more):
+    scenario = load_scenario("throw_and_catch").override(SPREAD | more)
+    env, envs = parallel_env(scenario), vector_env(scenario, num_envs=3)
+    joint, _ = envs.reset(seed=7)
+    for k in range(3):
+        env.reset(seed=7 + k)
+        place = env.signals["pop.x"], env.signals["pop.y"]
+        assert place != scenario.objects["pop"].start
+        assert np.abs(np.subtract(place, scenario.objects["pop"].start) / [0.1, 0.05]).max() <= 1.0
+        assert set(place) <= set(joint[k].tolist())
+
+
+@pytest.mark.parametrize(
+    ("box", "message"), [([3.0, 0.0], "outside the world"), ([0.9, 0.9], r"pop could start in (snap|crackle)")]
+)
+def test_a_box_that_reaches_into_others_is_refused(box, message):
+    with pytest.raises(InputError, match=message):
+        load_scenario("throw_and_catch").override(SPREAD | {"objects.pop.start_uncertainty": box})

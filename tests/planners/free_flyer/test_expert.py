@@ -21,6 +21,7 @@ from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options, make_r
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.tracking.box_qp import NEWTON_STEPS
 from planners.free_flyer.tracking.mpc import STAGES
+from planners.free_flyer.tracking.problem import PUBLISHED_WEIGHTS
 from planners.plan import Plan, PlannedImpact
 from tests.frozen.freeze import get_plan
 from tests.planners.free_flyer import plans
@@ -424,16 +425,16 @@ def test_variants_by_name(scenario: FreeFlyerScenario, plan: Plan) -> None:
 
 def test_each_variant_has_one_part_more_than_the_last() -> None:
     parts = [{name for name, on in vars(options).items() if on is True} for options in VARIANTS.values()]
-    once, paper, learning, retiming, drift, insertion, reoptimisation = parts
+    once, paper, weights, *rest = [*parts, {name for name, on in vars(EXPERT).items() if on is True}]
     assert once == {"once"}
-    assert paper == set()
-    assert learning - paper == {"learn"}
-    assert retiming - learning == {"retime"}
-    assert drift - retiming == {"drift"}
-    assert insertion - drift == {"insert", "avoid"}
-    assert reoptimisation - insertion == {"reoptimise"}
-    assert {name for name, on in vars(EXPERT).items() if on is True} - reoptimisation == {"plan_anew"}
-    assert paper < learning < retiming < drift < insertion < reoptimisation
+    assert paper == weights == set()
+    assert replace(VARIANTS["paper_expert"], weights=EXPERT.weights) == VARIANTS["with_weights"]
+    assert VARIANTS["paper_expert"].weights == VARIANTS["one_replan"].weights == PUBLISHED_WEIGHTS
+    order = ["exact", "avoid", "learn", "retime", "drift", "insert", "reoptimise", "plan_anew"]
+    for part, fewer, more in zip(order, [weights, *rest], rest, strict=False):
+        assert more - fewer == {part}
+        assert fewer < more
+    assert replace(VARIANTS["with_reoptimisation"], plan_anew=True) == EXPERT
 
 
 def test_unknown_variant_is_refused_with_the_choices(scenario: FreeFlyerScenario, plan: Plan) -> None:

@@ -218,9 +218,9 @@ def test_rows_of_other_settings_are_never_mixed_in(tmp_path: Path) -> None:
 def test_one_plan_serves_all_seeds_and_suites_of_one_belief(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[str] = []
 
-    def count_plans(scenario: Scenario) -> Any:
+    def count_plans(scenario: Scenario, objective: str) -> Any:
         made.append(scenario.name)
-        return make_plan(scenario)
+        return make_plan(scenario, objective)
 
     monkeypatch.setattr("train.evaluation.evaluate.make_plan", count_plans)
     evaluate(["throw_and_catch"], ("zero", "expert"), 1, suites=("nominal", "mass"), progress=False)

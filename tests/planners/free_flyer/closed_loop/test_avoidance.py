@@ -9,7 +9,7 @@ from planners import make_plan
 from planners.free_flyer.belief.options import EXPERT, make_record
 from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import WorldMemory, make_world_memory
-from planners.free_flyer.closed_loop.avoidance import NO_TARGET, avoid_bodies
+from planners.free_flyer.closed_loop.avoidance import NO_TARGET, avoid_bodies, hold_barrier
 from planners.free_flyer.tracking.mpc import FEEDBACK, GAIN, INPUT_LIMIT
 from tests.planners.free_flyer.plans import load, set_estimate
 
@@ -69,3 +69,32 @@ def test_leaves_a_target_and_what_flies_away_alone(table: PlanTable) -> None:
     memory.filter["velocity"][0, 2, 0] = 0.4
     assert avoid_bodies(table, memory, OPTIONS, 0, 0, NO_TARGET, 0.01, 0.02) == (0.01, 0.02, 0.0)
     assert ay <= 0.02
+
+
+def test_published_barrier_holds_where_the_thrust_is_enough(table: PlanTable) -> None:
+    """h'' + 2 h' + h >= 0 of h = d^2 - 0.5^2 keeps a robot that is sent through an object half a metre from it."""
+    memory = make_world_memory(table, 1)
+    memory.filter["position"][0] = [(-2.0, 0.02), (0, 9), (0, 0)]
+    z, y, nearest = memory.filter[0, 0], memory.filter[0, 2], np.inf
+    z["velocity"] = (0.08, 0.0)
+    for _ in range(600):
+        wished = 0.1 * (np.array([0.08, 0.0]) - z["velocity"])
+        a = np.array(hold_barrier(table, memory, OPTIONS, 0, 0, NO_TARGET, *wished))
+        assert a[2] == 0.0
+        d, v = z["position"] - y["position"], z["velocity"] - y["velocity"]
+        assert 2 * (v @ v + d @ a[:2]) + 2 * 2 * d @ v + d @ d - 0.25 >= -1e-9
+        z["position"] += PERIOD * z["velocity"] + PERIOD**2 / 2 * a[:2]
+        z["velocity"] += PERIOD * a[:2]
+        nearest = min(nearest, float(np.hypot(*(z["position"] - y["position"]))))
+    assert 0.49 < nearest < 0.56
+    assert memory.counts["avoided"][0] > 0
+
+
+def test_published_barrier_leaves_robots_and_the_target_alone(table: PlanTable) -> None:
+    memory = make_world_memory(table, 1)
+    memory.filter["position"][0] = [(0, 0), (0.45, 0), (-0.45, 0)]
+    memory.filter["velocity"][0, 0] = (0.1, 0.0)
+    assert hold_barrier(table, memory, OPTIONS, 0, 0, NO_TARGET, 0.0, 0.0)[0] >= 0.0  # off the object, towards a robot
+    memory.filter["velocity"][0, 0] = (-0.1, 0.0)
+    assert hold_barrier(table, memory, OPTIONS, 0, 0, 2, 0.01, 0.02) == (0.01, 0.02, 0.0)
+    assert hold_barrier(table, memory, OPTIONS, 0, 0, NO_TARGET, 0.01, 0.02)[2] > 0.0  # too fast, too near: it says so

@@ -6,9 +6,15 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from impact_envs.physics.impact import compute_velocity_gain
-from planners.free_flyer.next_impact.two_body import Outcome, TwoBodyImpact, solve_two_body_impact
+from planners.free_flyer.next_impact.two_body import (
+    Outcome,
+    TwoBodyImpact,
+    solve_soft_two_body_impact,
+    solve_two_body_impact,
+)
 
 NO_LIMIT = 1e3
 
@@ -27,6 +33,24 @@ def solve(
     return solve_two_body_impact(*pairs, *masses, restitution, 0.4, limit)
 
 
+def soften(
+    minus: np.ndarray,
+    desired: np.ndarray,
+    wish: np.ndarray,
+    masses: tuple[float, float] = (16.8, 16.8),
+    restitution: float = 0.8,
+    limit: float = NO_LIMIT,
+    robot_weight: float = 0.1,
+) -> TwoBodyImpact:
+    pairs = ((3.0, 2.0), tuple(minus), tuple(desired), tuple(wish), (1.0, 0.0))
+    return solve_soft_two_body_impact(*pairs, *masses, restitution, 0.4, limit, 1.0, robot_weight)
+
+
+def compute_cost(answer: TwoBodyImpact, desired: np.ndarray, wish: np.ndarray, robot_weight: float) -> float:
+    off, moved = np.subtract(answer.object_plus, desired), np.subtract(answer.robot_minus, wish)
+    return float(off @ off + robot_weight * moved @ moved)
+
+
 def random_cases(count: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, tuple[float, float], float]]:
     rng = np.random.default_rng(1)
     return [
@@ -34,7 +58,7 @@ def random_cases(count: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, t
     ]
 
 
-@pytest.mark.parametrize("case", random_cases(12))
+@pytest.mark.parametrize("case", random_cases(50))
 def test_satisfies_equation_6(case: tuple) -> None:
     minus, desired, wish, (m_r, m_o), e = case
     answer = solve(minus, desired, wish, (m_r, m_o), e)
@@ -107,3 +131,83 @@ def test_object_that_flees_too_fast_is_out_of_reach() -> None:
 def test_velocity_gain_of_a_heavy_robot_is_one_plus_restitution() -> None:
     assert math.isclose(compute_velocity_gain(0.8, 1e9, 1.0), 1.8, rel_tol=1e-8)
     assert compute_velocity_gain(1.0, 2.0, 2.0) == 1.0  # equal elastic discs swap their normal velocities
+
+
+@pytest.mark.parametrize("case", random_cases(15))
+@pytest.mark.parametrize("robot_weight", [1e-2, 1.0])
+def test_soft_form_is_the_numerical_minimum(case: tuple, robot_weight: float) -> None:
+    minus, desired, wish, (m_r, m_o), e = case
+    gain = (1.0 + e) * m_r / (m_r + m_o)
+
+    def separate(z: np.ndarray) -> tuple[np.ndarray, float]:
+        n = np.array([math.cos(z[0]), math.sin(z[0])])
+        return n, float(n @ (z[1:] - minus))
+
+    def cost(z: np.ndarray) -> float:
+        n, approach = separate(z)
+        off, moved = minus + gain * approach * n - desired, z[1:] - wish
+        return float(off @ off + robot_weight * moved @ moved)
+
+    rule = {"type": "ineq", "fun": lambda z: separate(z)[1]}
+    starts = [np.array([angle, *wish]) for angle in np.arange(8) * math.pi / 4]
+    found = [minimize(cost, z, method="SLSQP", constraints=rule, options={"ftol": 1e-13}) for z in starts]
+    least = min(result.fun for result in found if result.success and separate(result.x)[1] > -1e-9)
+    answer = soften(minus, desired, wish, (m_r, m_o), e, robot_weight=robot_weight)
+    assert answer.outcome == Outcome.EXACT
+    assert math.isclose(compute_cost(answer, desired, wish, robot_weight), least, rel_tol=1e-5, abs_tol=1e-9)
+
+
+def test_soft_form_keeps_momentum_and_restitution() -> None:
+    for minus, desired, wish, (m_r, m_o), e in random_cases(50):
+        answer = soften(minus, desired, wish, (m_r, m_o), e)
+        before = m_r * np.array(answer.robot_minus) + m_o * minus
+        after = m_r * np.array(answer.robot_plus) + m_o * np.array(answer.object_plus)
+        np.testing.assert_allclose(after, before, atol=1e-13)
+        n = np.array(answer.normal)
+        approach = n @ np.subtract(answer.robot_minus, minus)
+        assert approach > 0.0
+        assert math.isclose(n @ np.subtract(answer.object_plus, answer.robot_plus), e * approach, abs_tol=1e-14)
+
+
+def test_soft_form_goes_to_the_hard_one_as_the_robots_weight_vanishes() -> None:
+    for minus, desired, wish, masses, e in random_cases(20):
+        hard = solve(minus, desired, wish, masses, e)
+        off = []
+        for weight in (1e-3, 1e-5, 1e-7):
+            soft = soften(minus, desired, wish, masses, e, robot_weight=weight)
+            off.append(float(np.abs(np.subtract(soft.object_plus, desired)).max()))
+        assert off[0] > 3.0 * off[1] > 9.0 * off[2]
+        np.testing.assert_allclose(soft[1:], hard[1:], atol=1e-4)
+
+
+def test_soft_form_of_a_heavy_robots_weight_keeps_its_velocity() -> None:
+    for minus, desired, wish, masses, e in random_cases(20):
+        np.testing.assert_allclose(
+            soften(minus, desired, wish, masses, e, robot_weight=1e7).robot_minus, wish, atol=1e-5
+        )
+
+
+def test_soft_form_does_not_hit_what_is_as_wished() -> None:
+    velocity, wish = np.array([0.1, -0.05]), np.array([-0.1, 0.2])
+    answer = soften(velocity, velocity, wish)
+    assert answer.outcome == Outcome.NOT_NEEDED
+    np.testing.assert_allclose(answer.object_plus, velocity, atol=1e-12)
+    np.testing.assert_allclose(answer.robot_minus, wish, atol=1e-12)
+    assert soften(velocity, velocity, velocity).normal == (1.0, 0.0)
+
+
+def test_soft_form_obeys_the_speed_limit_and_says_so() -> None:
+    outcomes = set()
+    for minus, desired, wish, masses, e in random_cases(200):
+        free, answer = soften(minus, desired, wish, masses, e), soften(minus, desired, wish, masses, e, 0.2)
+        outcomes.add(answer.outcome)
+        assert max(map(abs, answer.robot_minus)) <= 0.2 + 1e-12
+        assert answer.normal == free.normal
+        if answer.outcome == Outcome.TOO_FAST:
+            n = np.array(answer.normal)
+            assert math.isclose(abs(n @ answer.robot_minus), 0.2 * np.abs(n).sum(), rel_tol=1e-12)
+    assert outcomes == {Outcome.EXACT, Outcome.TOO_FAST}
+    fleeing = np.array([0.5, 0.0])
+    answer = soften(fleeing, np.array([0.6, 0.0]), fleeing, limit=0.3)
+    assert answer.outcome == Outcome.OUT_OF_REACH
+    np.testing.assert_array_equal(answer.object_plus, fleeing)

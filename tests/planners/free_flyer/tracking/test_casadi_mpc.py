@@ -10,10 +10,14 @@ import pytest
 
 from impact_envs.errors import InputError
 from planners.errors import SolverFailed
-from planners.free_flyer.published.mpc import PublishedTracker, build_published_tracking, solve_published_tracking
 from planners.free_flyer.tracking.casadi_mpc import build_casadi_tracking, has_fatrop, solve_casadi_tracking
 from planners.free_flyer.tracking.mpc import Workspace, make_workspace, solve_tracking, view_task
-from planners.free_flyer.tracking.problem import NO_JUMP, STAGES, build_tracking_problem
+from planners.free_flyer.tracking.problem import NO_JUMP, PUBLISHED_WEIGHTS, STAGES, build_tracking_problem
+from planners.free_flyer.tracking.published_mpc import (
+    PublishedTracker,
+    build_published_tracking,
+    solve_published_tracking,
+)
 
 PERIOD = 0.1
 NORMAL, GAIN, OBJECT_SPEED, SPEED = np.array([0.6, 0.8]), 0.9, -0.05, 0.1
@@ -135,3 +139,21 @@ def test_published_form_thrusts_nothing_where_its_solver_fails() -> None:
     assert np.abs(tracker.track("craft", view_task(workspace, 0))).max() > 0.0
     workspace.state[0, 0] = math.nan
     np.testing.assert_array_equal(tracker.track("craft", view_task(workspace, 0)), np.zeros((1, 3)))
+
+
+@pytest.mark.parametrize("node", [NO_JUMP, 4])
+def test_with_the_papers_weights_the_compiled_mpc_is_the_papers_in_the_plane(node: int) -> None:
+    """Unturned, with no torque, Eqs. 31 and 33 are linear: App. B's weights change when an impact is near."""
+    problem = build_tracking_problem(Craft(force_limit=20.0), PERIOD, PUBLISHED_WEIGHTS)
+    mpc, workspace = build_casadi_tracking(problem), make_reference(node)
+    workspace.state[0] = workspace.states[0, 0] + [0.02, -0.01, 0.0, 0.003, 0.002, 0.0]
+    assert solve_tracking(workspace, 0, problem.row)
+    expected = solve_casadi_tracking(mpc, view_task(workspace, 0))
+    np.testing.assert_allclose(workspace.solution[0].reshape(STAGES, 3)[0], expected[0], rtol=1e-4, atol=1e-5)
+
+
+def test_an_impact_ahead_moves_the_papers_weights_from_position_to_velocity() -> None:
+    problem = build_tracking_problem(Craft(), PERIOD, PUBLISHED_WEIGHTS)
+    np.testing.assert_array_equal(problem.select_weights(NO_JUMP)[0, 0], [5.0, 0.0, 0.8])
+    np.testing.assert_array_equal(problem.select_weights(4)[0, 0], [1e-3, 0.0, 8e3])
+    np.testing.assert_array_equal(problem.select_weights(4)[1], 10.0 * problem.select_weights(4)[0])

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from planners.bezier import Curve
 from planners.free_flyer.tracking.course import (
@@ -20,6 +21,7 @@ from planners.free_flyer.tracking.course import (
     return_to_plan,
     set_clock,
 )
+from planners.free_flyer.tracking.least_acceleration import minimise_acceleration, plan_least_acceleration
 
 IMPACT, HORIZON = 30.0, 60.0
 LONGEST, FASTEST = 12.0, 1.5
@@ -203,3 +205,38 @@ def test_return_does_not_race_through_the_plan_when_time_is_short() -> None:
     course = return_from(59.0, np.zeros((2, 2)))
     assert course["rate"] == FASTEST
     assert course["until"] == pytest.approx(59.0 + SHORTEST_RETURN)
+
+
+def solve_equation_29(T: float, way: float, v_0: float, v_end: float, limit: float, miss: float) -> np.ndarray:
+    """Return the control points (m, v_1) of one axis' velocity by a general solver, the integral by Simpson's rule."""
+
+    def cost(x: np.ndarray) -> float:
+        a = [2.0 * (x[0] - v_0) / T, (x[1] - v_0) / T, 2.0 * (x[1] - x[0]) / T]  # at the start, middle and end
+        place = T * (v_0 + x[0] + x[1]) / 3.0
+        effort = T / 6.0 * (a[0] ** 2 + 4.0 * a[1] ** 2 + a[2] ** 2)
+        return effort + miss * ((place - way) ** 2 + (x[1] - v_end) ** 2)
+
+    return minimize(cost, [0.0, 0.0], bounds=[(-limit, limit)] * 2, method="L-BFGS-B", tol=1e-15).x
+
+
+@pytest.mark.parametrize("miss", [0.01, 1.0, 1e3])
+@pytest.mark.parametrize("limit", [0.02, 0.1, 10.0])
+def test_published_course_is_the_optimum_of_equation_29(limit: float, miss: float) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        T, (way, v_0, v_end) = rng.uniform(1.0, 20.0), rng.uniform(-1.0, 1.0, 3) * [1.0, 0.1, 0.2]
+        found = minimise_acceleration(T, way, v_0, v_end, limit, miss)
+        np.testing.assert_allclose(found, solve_equation_29(T, way, v_0, v_end, limit, miss), atol=2e-5)
+
+
+def test_published_course_starts_where_the_robot_is_and_hits_where_it_should() -> None:
+    course = follow()
+    begin, base = at(course, 8.0) + 0.01, plan_at(8.0)
+    arguments = (tuple(begin.ravel()), tuple(base[0]), CONTACT, SPEED, 25.0, 10.0, 1e6)
+    plan_least_acceleration(course, 8.0, *arguments)
+    np.testing.assert_allclose(at(course, 8.0)[:2], begin[:2], atol=1e-12)
+    np.testing.assert_allclose(at(course, 25.0)[:2], [CONTACT, SPEED], atol=1e-5)
+    slow = at(course, 12.0)
+    acceleration = (at(course, 12.0 + 1e-4)[1] - at(course, 12.0 - 1e-4)[1]) / 2e-4
+    np.testing.assert_allclose(slow[2], acceleration, atol=1e-6)
+    np.testing.assert_allclose(at(course, 26.0)[0], np.array(CONTACT) + SPEED, atol=1e-4)

@@ -18,12 +18,16 @@ from planners.free_flyer.tracking.casadi_mpc import (
     make_variables,
     solve_mpc,
 )
-from planners.free_flyer.tracking.problem import NO_JUMP, STAGES, TrackingProblem, TrackingTask
+from planners.free_flyer.tracking.problem import NO_JUMP, PUBLISHED_WEIGHTS, STAGES, TrackingProblem, TrackingTask
 
 # Published weights: of position, velocity and attitude, without and with an impact in the horizon; of force and rate.
-PUBLISHED = ((5.0, 0.8, 8e3), (1e-3, 8e3, 8e3))
-PUBLISHED_EFFORT = (1e-3, 2.0)
-TERMINAL = 10.0  # times the weights of the stages
+ATTITUDE, RATE = 8e3, 2.0
+PUBLISHED = (
+    (PUBLISHED_WEIGHTS.position, PUBLISHED_WEIGHTS.velocity, ATTITUDE),
+    (PUBLISHED_WEIGHTS.near_position, PUBLISHED_WEIGHTS.near_velocity, ATTITUDE),
+)
+PUBLISHED_EFFORT = (PUBLISHED_WEIGHTS.force, RATE)
+TERMINAL = PUBLISHED_WEIGHTS.terminal
 RATE_LIMIT = 0.5  # of the published rate command [rad/s]
 PUBLISHED_OPTIONS = {"ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-2, "max_iter": 100}}
 
