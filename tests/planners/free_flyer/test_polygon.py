@@ -35,11 +35,15 @@ def test_a_side_whose_foot_lies_beside_it_and_an_obtuse_corner_are_no_places_to_
 
 
 RECTANGLE = np.array([[0.18, -0.08], [0.18, 0.08], [-0.18, 0.08], [-0.18, -0.08]])
-HEADINGS = [("square", SQUARE, math.radians(7.5) * k) for k in range(12)]
-HEADINGS += [("rectangle", RECTANGLE, math.radians(15.0) * k) for k in range(12)]
+SLOW = {("rectangle", 30.0), ("rectangle", 150.0)}  # four impacts are needed
+CASES = [
+    pytest.param(vertices, math.radians(h), id=f"{name} {h}", marks=[pytest.mark.slow] if (name, h) in SLOW else [])
+    for name, vertices, step in (("square", SQUARE, 7.5), ("rectangle", RECTANGLE, 15.0))
+    for h in np.arange(12) * step
+]
 
 
-@pytest.mark.parametrize(("vertices", "heading"), [pytest.param(v, h, id=f"{n} {h:.2f}") for n, v, h in HEADINGS])
+@pytest.mark.parametrize(("vertices", "heading"), CASES)
 def test_a_flight_keeps_what_the_plan_for_a_polygon_promises(vertices: np.ndarray, heading: float) -> None:
     change = {"objects.pop.vertices": vertices.tolist(), "objects.pop.heading": heading}
     scenario = load_scenario("throw_and_catch").override(change)
@@ -47,7 +51,7 @@ def test_a_flight_keeps_what_the_plan_for_a_polygon_promises(vertices: np.ndarra
     assert plan.shape_error > 0.0
     episode = rollout(parallel_env(scenario), make_expert(scenario, plan), SEED)
     assert episode.robustness >= plan.robustness - plan.shape_error - 1e-3
-    if plan.shape_error < 0.1:
+    if plan.shape_error < 0.05:
         # Hit through its centre: what the plan says is nearly exact, and the object does not turn.
         assert episode.success
         assert episode.robustness > plan.robustness - 0.02
