@@ -133,6 +133,7 @@ class Plan:
         deviation_bound: proven upper bound of the deviation of any such plan [m/s].
         tubes: object to the boxes it stays in under such deviations.
         responses: robot to its curves for the vertices of the boxes: (x-, y-), (x-, y+), (x+, y-), (x+, y+).
+        shape_error: by how much the flown robustness may be lower, because objects are no discs; 0: all are discs [m].
 
     Raises:
         InputError: the curves do not span [0, T], or an impact names an unknown body or time.
@@ -156,6 +157,7 @@ class Plan:
     deviation_bound: FiniteFloat | None = None
     tubes: dict[str, Tube] = field(default_factory=dict)
     responses: dict[str, tuple[Curve, ...]] = field(default_factory=dict)
+    shape_error: FiniteFloat = 0.0
 
     __pydantic_config__ = _STRICT
 

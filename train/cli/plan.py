@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import sys
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from tyro.conf import Positional
 
@@ -15,6 +16,7 @@ from impact_envs.scenario import load_scenario
 from train.pictures.file import check_picture_path
 
 if TYPE_CHECKING:
+    from planners.free_flyer.published.violation import Violation
     from planners.plan import Plan
 
 
@@ -44,6 +46,10 @@ class Command:
     """Write the plan into this folder in the CSV format of the published planner."""
     plot: Path | None = None
     """Draw the plan: a file ending in .png, .pdf or .svg."""
+    check: Path | None = None
+    """Plan nothing: say what this plan breaks, a JSON file or a folder of published CSV files."""
+    rename: tuple[str, ...] = ()
+    """With --check: names of bodies in a published plan, PLAN=SCENARIO, where roles and starts do not tell them."""
     json: bool = False
 
     def run(self) -> dict[str, Any]:
@@ -55,6 +61,10 @@ class Command:
         if self.plot and find_part("train", scenario.domain, "PLAN_PICTURE") is None:
             raise InputError(f"--plot {self.plot}: domain '{scenario.domain}' draws no picture of a plan")
         self._check()
+        if self.check:
+            given = load_plan(self.check, scenario, self.rename)
+            self._write(scenario, given.plan)
+            return _summary(scenario, given.plan) | given.describe()
         if self.encoding == "bezier":
             return self._plan_by_bezier(scenario)
         options: dict[str, Any] = {
@@ -80,6 +90,8 @@ class Command:
                 raise InputError(f"{name} {folder}: is a file; it takes a folder")
         if self.plot:
             check_picture_path(self.plot)
+        if self.rename and self.check is None:
+            raise InputError(f"--rename {' '.join(self.rename)} needs --check DIR, a folder of published plan files")
         if self.time_grid is not None and self.objective != "impact_uncertainty":
             raise InputError(f"--time-grid {self.time_grid} needs --objective impact_uncertainty, got {self.objective}")
         if self.encoding == "bezier":
@@ -136,29 +148,99 @@ class Command:
         }
 
 
-def load_plan(path: Path | None, scenario: Any) -> Plan | None:
-    """Return the plan of a JSON file, or of a folder of published CSV files.
+class GivenPlan(NamedTuple):
+    """A plan that was made elsewhere or before.
+
+    Attributes:
+        path: where it is from.
+        plan: with the scenario's names.
+        names: of bodies in the file that differ from the scenario's.
+        violations: what it breaks.
+    """
+
+    path: Path
+    plan: Plan
+    names: dict[str, str]
+    violations: tuple[Violation, ...]
+
+    def describe(self) -> dict[str, Any]:
+        """Return names, violations and whether it may be flown, as they are printed."""
+        return {
+            "renamed": self.names,
+            "accepted": not any(one.refused for one in self.violations),
+            "violations": [asdict(one) for one in self.violations],
+        }
+
+    def admit(self, force: bool) -> Plan:
+        """Return the plan after saying what it breaks, one line each on standard error.
+
+        Args:
+            force: whether it is flown whatever it breaks.
+
+        Raises:
+            InputError: it breaks too much.
+        """
+        refused = [one for one in self.violations if one.refused]
+        if refused and not force:
+            more = f" and {len(refused) - 1} more" if len(refused) > 1 else ""
+            raise InputError(
+                f"plan {self.path}: {refused[0]}{more}; impact plan --check lists all, --force flies it all the same"
+            )
+        for old, new in self.names.items():
+            print(f"plan {self.path}: its {old} is {new}", file=sys.stderr)
+        for one in self.violations:
+            print(f"plan {self.path}: {one}", file=sys.stderr)
+        return self.plan
+
+
+def load_plan(path: Path, scenario: Any, rename: tuple[str, ...] = ()) -> GivenPlan:
+    """Return the plan of a JSON file, or of a folder of published CSV files, and what it breaks.
 
     Args:
-        path: file or folder; None: no plan.
-        scenario: that a published plan is for.
+        path: file or folder.
+        scenario: that it is for.
+        rename: names of bodies in a published plan, each PLAN=SCENARIO.
 
     Raises:
         InputError: it does not hold a plan, or not one for the scenario.
     """
-    if path is None:
-        return None
-    from planners import check_planned
+    from planners import check_plan, check_planned
+    from planners.free_flyer.published.violation import list_violations
 
     check_planned(scenario)
+    given = _parse_names(rename)
     if path.is_dir():
         from planners.free_flyer.published.conversion import convert_published_plan
+        from planners.free_flyer.published.names import match_names
         from planners.free_flyer.published.plan_file import read_published_plan
 
-        return convert_published_plan(read_published_plan(path), scenario)
-    from planners.plan import Plan
+        published = read_published_plan(path)
+        try:
+            names = match_names(published, scenario, given)
+            plan = convert_published_plan(published, scenario, names)
+        except InputError as error:
+            raise InputError(f"plan {path}: {error}") from None
+    else:
+        from planners.plan import Plan
 
-    return Plan.load(path)
+        if rename:
+            raise InputError(f"--rename {' '.join(rename)}: {path} is no folder of published plan files")
+        plan, names = Plan.load(path), {}
+        check_plan(scenario, plan)
+    changed = {old: new for old, new in names.items() if old != new}
+    return GivenPlan(path, plan, changed, list_violations(scenario, plan))
+
+
+def _parse_names(texts: tuple[str, ...]) -> dict[str, str]:
+    names: dict[str, str] = {}
+    for text in texts:
+        old, equals, new = (part.strip() for part in text.partition("="))
+        if not (old and equals and new):
+            raise InputError(f"--rename {text}: expected PLAN=SCENARIO, for example snap=pop")
+        if old in names:
+            raise InputError(f"--rename {text}: '{old}' is renamed twice, to '{names[old]}' before")
+        names[old] = new
+    return names
 
 
 def _summary(scenario: Any, plan: Plan) -> dict[str, Any]:
@@ -171,6 +253,7 @@ def _summary(scenario: Any, plan: Plan) -> dict[str, Any]:
         "bound": round(plan.bound, 6),
         "gap": round(plan.gap, 6),
         **deviation,
+        **_describe_shapes(plan),
         "effort": plan.effort,
         "effort_bound": plan.effort_bound,
         "impacts": [
@@ -186,6 +269,14 @@ def _summary(scenario: Any, plan: Plan) -> dict[str, Any]:
         "stage_seconds": plan.stage_seconds,
         "validated": plan.validated,
     }
+
+
+def _describe_shapes(plan: Plan) -> dict[str, Any]:
+    """Return by how much less a plan for objects that are no discs may keep, in figures and words."""
+    if not plan.shape_error:
+        return {}
+    told = f"objects are no discs: the flown robustness may be lower by up to {plan.shape_error:.3g} m"
+    return {"shape_error": plan.shape_error, "warning": told}
 
 
 def _write_samples(plan: Plan, period: float, folder: Path) -> None:

@@ -36,6 +36,10 @@ class Command:
     """Values to change, for example true.restitution=0.5 expert.NAME=VALUE."""
     plan: Path | None = None
     """Execute this plan instead of planning: a JSON file, or a folder of published CSV files."""
+    rename: tuple[str, ...] = ()
+    """Names of bodies in a published plan, PLAN=SCENARIO, where roles and starts do not tell them."""
+    force: bool = False
+    """Fly a plan that breaks the impact law or a limit by too much."""
     render: str | None = None
     """human, or a file ending in .mp4, .gif or .png (the last frame)."""
     plot: Path | None = None
@@ -54,7 +58,9 @@ class Command:
         scenario = case.scenario
         check_settings(case, (self.policy,))
         film = self._check(scenario)
-        policy = make_policy(self.policy, scenario, load_plan(self.plan, scenario), case.options)
+        given = load_plan(self.plan, scenario, self.rename) if self.plan else None
+        plan = given.admit(self.force) if given else None
+        policy = make_policy(self.policy, scenario, plan, case.options)
         record = self._make_record(scenario, policy)
         env = parallel_env(scenario, render_mode="rgb_array" if film else self.render)
         env.curves |= _sample_curves(policy)
@@ -78,12 +84,16 @@ class Command:
             | {"set": settings}
             | measure(find_metrics(scenario.domain), episode, scenario, _find_plan(policy))
             | (figures(record, episode) if figures else {})
+            | (given.describe() if given else {})
         )
 
     def _check(self, scenario: Scenario) -> Any:
         """Refuse what cannot be played or written before anything is played; returns the film, None without one."""
         if self.seed < 0:
             raise InputError(f"seed {self.seed} is negative; choices: 0, 1, 2, ...")
+        for option, wanted in (("--rename", self.rename), ("--force", self.force)):
+            if wanted and self.plan is None:
+                raise InputError(f"{option} needs --plan, a plan to execute")
         if self.plot:
             check_picture_path(self.plot)
             if find_part("train", scenario.domain, "PICTURE") is None:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners.free_flyer.specification.central_hit import find_central_hits
 from planners.free_flyer.specification.impact_demand import Knot, find_knots, find_own_faces
 from planners.free_flyer.tracking.course import convert_curve
 from planners.free_flyer.tracking.problem import Weights, build_tracking_problem
@@ -263,27 +264,3 @@ def _make_sides(scenario: FreeFlyerScenario) -> np.ndarray:
     for row, hits in zip(sides, found, strict=True):
         row["direction"][: len(hits)], row["distance"][: len(hits)] = hits[:, :2], hits[:, 2]
     return sides
-
-
-def find_central_hits(vertices: np.ndarray) -> np.ndarray:
-    """Return the contact points where a frictionless disc's push passes through a convex polygon's centre, the origin.
-
-    On an edge it is the foot of the perpendicular from the origin; a corner is one if the line through it lies in the
-    cone of the neighbouring edges' normals.
-
-    Args:
-        vertices: counter-clockwise, shape (v, 2) [m].
-
-    Returns:
-        Rows (unit vector from the origin, distance), shape (d, 3).
-    """
-    rows = []
-    for a, b, c in zip(np.roll(vertices, 1, axis=0), vertices, np.roll(vertices, -1, axis=0), strict=True):
-        edge = c - b
-        along = -(b @ edge) / (edge @ edge)
-        foot = b + along * edge
-        if 0.0 < along < 1.0 and np.hypot(*foot) > 0.0:
-            rows.append((*foot / np.hypot(*foot), np.hypot(*foot)))
-        if b @ (a - b) <= 0.0 and b @ (c - b) <= 0.0:
-            rows.append((*b / np.hypot(*b), np.hypot(*b)))
-    return np.array(rows).reshape(-1, 3)

@@ -22,6 +22,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
 from planners.errors import Infeasible
 from planners.free_flyer.nominal.event_sequence import Hitter, Word, compute_speed_caps
 from planners.free_flyer.reserves import Reserves
+from planners.free_flyer.specification.central_hit import find_central_impulses
 from planners.free_flyer.specification.direction import AXES, DIRECTIONS
 from planners.free_flyer.specification.grid import refine
 from planners.mixed_integer import Affine, Model
@@ -162,6 +163,7 @@ def build_event_grid(
         _add_impact_rows(grid, scenario, event, reserves.run_up)
         for name in objects:
             _add_cone_rows(grid, event, name, reserves.push)
+            _add_central_rows(grid, event, name, find_central_impulses(scenario.objects[name]))
     _add_gap_rows(grid, scenario, reserves)
     _require_hits(grid, scenario)
     if len(objects) > 1:
@@ -279,6 +281,24 @@ def _add_cone_rows(grid: EventGrid, event: int, name: str, push: float) -> None:
             grid.model.require((sign * across - widest * direction) @ step, unless=off)
             if len(moving) > 1 and isinstance(others, Affine):
                 grid.model.require((sign * across - CONE_AT_REST * direction) @ step, unless=off + others)
+
+
+def _add_central_rows(grid: EventGrid, event: int, name: str, impulses: np.ndarray) -> None:
+    """Let an object that is no disc be hit through its centre alone, so that it does not turn.
+
+    As in the cones, both legs are along the impulse: a throw, a catch or a return.
+    """
+    if not len(impulses):
+        return
+    model, path = grid.model, grid.path(name)
+    chosen = [model.binary() for _ in impulses]
+    model.require_equal(sum(chosen, Affine({})) - grid.involved(event, name))
+    steps = path[event + 1] - path[event], path[event - 1] - path[event]
+    for choice, (x, y) in zip(chosen, impulses, strict=True):
+        for step in steps:
+            model.require(-(x * step[0] + y * step[1]), unless=1.0 - choice)
+            for sign in (1.0, -1.0):
+                model.require((x * step[1] - y * step[0]) * sign, unless=1.0 - choice)
 
 
 def _add_gap_rows(grid: EventGrid, scenario: FreeFlyerScenario, reserves: Reserves) -> None:

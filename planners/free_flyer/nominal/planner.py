@@ -20,6 +20,7 @@ from planners.free_flyer.nominal.sequence_search import restrict_to_object, sear
 from planners.free_flyer.nominal.smoothing import smooth_motions
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.reserves import Reserves
+from planners.free_flyer.specification.central_hit import compute_shape_error
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import read_demands
 from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
@@ -65,8 +66,8 @@ def make_free_flyer_plan(
     A task that leaves no room for the reserves is planned with half of them, then with a quarter.
 
     Args:
-        scenario: any numbers of robots and objects; only believed physics are read. A polygon is planned as the disc
-            around it; the closed loop hits it so that the push passes through its centre.
+        scenario: any numbers of robots and objects; only believed physics are read. A polygon takes as much room as
+            the disc around it; it is hit through its centre or, where no such plan is good enough, as that disc.
         max_impacts: greatest number of impacts tried; default: 6, and 3 for every further object.
         time_limit: wall time for all stages [s].
         solver: of mixed-integer models, a key of `planners.solvers.SOLVERS`.
@@ -88,8 +89,32 @@ def make_free_flyer_plan(
     _check_arguments(scenario, max_impacts, time_limit)
     check_solver(solver)
     discs = {name: item.model_copy(update={"vertices": None}) for name, item in scenario.objects.items()}
-    scenario = scenario.model_copy(update={"objects": discs})
-    budget = Budget(time_limit)
+    disc_scenario = scenario.model_copy(update={"objects": discs})
+    if not scenario.has_polygons:
+        return _plan_task(scenario, max_impacts, Budget(time_limit), solver, reserves, options)
+    if options.central is not None:
+        # Half of the time each: what cannot be hit through its centre is found out late.
+        time_limit = 0.5 * time_limit
+        try:
+            brief = replace(options, diagnosis=0.0)
+            plan = _plan_task(scenario, max_impacts, Budget(time_limit), solver, reserves, brief)
+            if plan.robustness >= options.central:
+                return replace(plan, shape_error=compute_shape_error(scenario, plan.impacts, plan.horizon))
+        except PlanningError:
+            pass
+    plan = _plan_task(disc_scenario, max_impacts, Budget(time_limit), solver, reserves, options)
+    return replace(plan, shape_error=compute_shape_error(scenario, plan.impacts, plan.horizon))
+
+
+def _plan_task(
+    scenario: FreeFlyerScenario,
+    max_impacts: int,
+    budget: Budget,
+    solver: str,
+    reserves: Reserves,
+    options: PlanOptions,
+) -> Plan:
+    """Plan with the reserves, with half of them, then with a quarter."""
     task = tightest = NominalTask(scenario, read_demands(scenario, reserves.wall), reserves, solver)
     failure: PlanningError | None = None
     enough = options.enough
@@ -114,7 +139,7 @@ def _explain(
     failure: PlanningError, task: NominalTask, max_impacts: int, budget: Budget, options: PlanOptions
 ) -> PlanningError:
     """Return the failure of a task; if it is infeasible, the remedy says what to loosen."""
-    if not isinstance(failure, Infeasible) or not options.thorough:
+    if not isinstance(failure, Infeasible) or not options.thorough or not options.diagnosis:
         return failure
     limit = min(max(budget.left, 0.25 * options.diagnosis), options.diagnosis)
     found = find_relaxation(task, max_impacts, options.least, limit)

@@ -28,6 +28,7 @@ OPTIONS = PlanOptions(
     joint=0.85,
     thrust=0.9,
     thorough=False,
+    central=None,  # nothing is said of how objects have turned
     cost=CostOptions(gap=0.1, rounds=1, weights=(3.0,), wishes=(Wish(True, True), Wish(False, False)), together=True),
     search=WordSearchOptions(evaluations=8, improve=False),
     smoothing=SmoothingOptions(rounds=3),

@@ -133,8 +133,10 @@ class PlanOptions:
         halvings: how often the reserves are halved for a task that leaves no room for them.
         turns: factors of the time for starting and stopping, tried when motions prove too quick to be smoothed.
         words: number of sequences of impacts tried at each of these.
-        diagnosis: greatest time for finding what to loosen where there is no plan [s].
+        diagnosis: greatest time for finding what to loosen where there is no plan; 0: it is not said [s].
         thorough: whether what to loosen is said, and robustness is improved for longer than there is a plan.
+        central: least robustness of a plan that hits polygons through their centres, else they are planned as discs;
+            the expert hits once more where less is left. None: always as discs [m].
         cost: of the stage of least path cost.
         search: of the sequences of impacts of several objects.
         smoothing: of the motions.
@@ -152,6 +154,7 @@ class PlanOptions:
     words: int = 3
     diagnosis: float = 20.0
     thorough: bool = True
+    central: float | None = 0.02
     cost: CostOptions = field(default_factory=CostOptions)
     search: WordSearchOptions = field(default_factory=WordSearchOptions)
     smoothing: SmoothingOptions = field(default_factory=SmoothingOptions)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
 from planners.free_flyer.published.curve import JUMP, PublishedBody, PublishedPlan, evaluate_bezier
 from planners.free_flyer.published.impact import read_deviation, read_impacts
+from planners.free_flyer.published.names import match_names, rename_bodies
 from planners.free_flyer.validation import compute_robustness
 from planners.plan import Plan, PlannedImpact, Tube
 
@@ -47,7 +48,9 @@ def make_published_plan(plan: Plan) -> PublishedPlan:
     return PublishedPlan({name: _publish(curve, name, plan.impacts) for name, curve in curves.items()}, zonotopes)
 
 
-def convert_published_plan(published: PublishedPlan, scenario: FreeFlyerScenario) -> Plan:
+def convert_published_plan(
+    published: PublishedPlan, scenario: FreeFlyerScenario, names: Mapping[str, str] | None = None
+) -> Plan:
     """Return a published plan as a `Plan`, for execution and pictures.
 
     Robots' curves become quintic pieces with the same position, velocity and acceleration at their ends, halved
@@ -57,6 +60,7 @@ def convert_published_plan(published: PublishedPlan, scenario: FreeFlyerScenario
     Args:
         published: to convert.
         scenario: whose bodies and formula the plan is judged with.
+        names: of bodies in the plan to those in the scenario; the others are told by roles and starts.
 
     Returns:
         A plan of which nothing is proven: its bound is the world's diagonal, and it is not validated.
@@ -64,6 +68,7 @@ def convert_published_plan(published: PublishedPlan, scenario: FreeFlyerScenario
     Raises:
         InputError: other bodies than the scenario's, a longer horizon, or labels that do not match.
     """
+    published = rename_bodies(published, match_names(published, scenario, names))
     _check_bodies(published, scenario)
     impacts, horizon = read_impacts(published), scenario.horizon
     end = published.horizon if horizon - published.horizon > JUMP else horizon
@@ -140,7 +145,7 @@ def _cut_tube(tube: Tube, times: np.ndarray) -> Tube:
 def _check_bodies(published: PublishedPlan, scenario: FreeFlyerScenario) -> None:
     kinds = (("robot", published.robots, scenario.robots), ("object", published.objects, scenario.objects))
     for kind, found, known in kinds:
-        for name in {*found} ^ {*known}:
+        for name in sorted({*found} ^ {*known}):
             has = f"{kind} of the plan" if name in found else f"{kind} of scenario {scenario.name}"
             raise InputError(f"'{name}' is a {has} only; {choices(name, known if name in found else found)}")
     if published.horizon > scenario.horizon + JUMP:
