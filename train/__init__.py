@@ -9,4 +9,6 @@ any of:
     PLAN_PICTURE    (scenario, plan, path): draw a plan into a file
     METRICS         tuple of evaluation.metric.Metric: what an evaluation measures besides
     LINKS           (scenario) -> what a replay needs to draw arms
+
+and a file ``paper.toml``: the published numbers, and the commands that compute them here (see papers.paper).
 """

@@ -53,6 +53,8 @@ def _table(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 def _text(value: Any) -> str:
+    if value is None:
+        return UNKNOWN
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, list | tuple):

@@ -1,6 +1,6 @@
 """Metrics of a grasp by simultaneous impact, from the true signals of an episode.
 
-None where an episode does not have one: all but the errors of the box need a contact.
+None where an episode does not have one: all but the errors of the box need a contact, some a grasp.
 
 Source: van Steen et al., Sec. 5.
 """
@@ -29,14 +29,22 @@ def _find_after(episode: Episode, duration: float = math.inf) -> np.ndarray:
     return (episode.times > first + 1e-9) & (episode.times <= first + duration + 1e-9)
 
 
+def _is_grasped(episode: Episode) -> bool:
+    interim = episode.signals["box.interim"]
+    return bool(episode.impacts) and bool(interim[-1] == interim[-2])  # it grows until the grasp
+
+
 def measure_time_difference(episode: Episode, scenario: DualArmScenario) -> float | None:
     """Return the time between the contacts of the arms; None unless both hit."""
     return float(episode.signals["box.lag"][-1]) if len(episode.impacts) == len(scenario.arms) else None
 
 
 def measure_torque_step(episode: Episode, scenario: DualArmScenario) -> float | None:
-    """Return the greatest change of a joint torque from tick to tick in the 0.4 s after the first contact."""
-    if not episode.impacts:
+    """Return the greatest change of a joint torque from tick to tick in the 0.4 s after the first contact.
+
+    None without a grasp: it would be least where the arms do not press on the box at all.
+    """
+    if not _is_grasped(episode):
         return None
     return float(episode.signals["box.torque_step"][_find_after(episode, AFTER)].max(initial=0.0))
 
@@ -51,11 +59,6 @@ def measure_torque_peak(episode: Episode, scenario: DualArmScenario) -> float | 
 def measure_limit_time(episode: Episode, scenario: DualArmScenario) -> float | None:
     """Return for how long a torque was at its limit after the first contact."""
     return float(episode.signals["box.limit_time"][-1]) if episode.impacts else None
-
-
-def _is_grasped(episode: Episode) -> bool:
-    interim = episode.signals["box.interim"]
-    return bool(episode.impacts) and bool(interim[-1] == interim[-2])  # it grows until the grasp
 
 
 def measure_slip(episode: Episode, scenario: DualArmScenario) -> float | None:

@@ -97,8 +97,10 @@ def compute_figures(record: ManipulatorRecord, episode: Episode) -> dict[str, An
         Of the first impact, None without one: ``impact_time`` [s], ``impact_point``, where the tip's centre is [m],
         ``impulse`` on the box [N s], ``angular_impulse`` on it about its centre [N m s], and just after it
         ``object_velocity`` (vx, vy, omega), ``base_velocity_after`` (vx, vy, omega) and ``joint_velocity_after`` [m/s],
-        [rad/s]. ``min_error`` and ``final_error``: distance of the tip from its goal [m]. ``requirements``: robustness
-        and truth of each of the scenario's.
+        [rad/s]. From it to the end ``base_travel`` and ``box_travel``, the distances between first and last place [m].
+        Distances of the tip from its goal [m]: ``start_error``; ``min_error``, the least of the whole episode;
+        ``min_error_after_pause``, the least after the safety pause of the first impact, None where the episode ends
+        before; ``final_error``. ``requirements``: robustness and truth of each of the scenario's.
 
     Source: Nekoo, Sharf & Ollero, Sec. 4 and App. A.
     """
@@ -106,7 +108,10 @@ def compute_figures(record: ManipulatorRecord, episode: Episode) -> dict[str, An
     errors = np.hypot(signals["tip.x"] - signals["target.x"], signals["tip.y"] - signals["target.y"])
     return {
         **_measure_impact(record),
+        **_measure_travel(record, episode),
+        "start_error": float(errors[0]),
         "min_error": float(errors.min()),
+        "min_error_after_pause": _find_least_after_pause(record, episode.times, errors),
         "final_error": float(errors[-1]),
         "requirements": _judge(record.scenario, episode),
     }
@@ -124,6 +129,23 @@ def _measure_impact(record: ManipulatorRecord) -> dict[str, Any]:
     vectors = (tip, impact.impulse, [spin], hit.box_plus, hit.v_plus[:3], hit.v_plus[3:])
     point, impulse, (angular,), *velocities = [_rounded(vector) for vector in vectors]
     return dict(zip(OF_IMPACT, (impact.time, point, impulse, angular, *velocities), strict=True))
+
+
+def _measure_travel(record: ManipulatorRecord, episode: Episode) -> dict[str, float | None]:
+    """Return how far base and box are from where they were at the first impact."""
+    if not record.collisions:
+        return {"base_travel": None, "box_travel": None}
+    first = int(np.searchsorted(episode.times, record.collisions[0].impact.time))
+    places = {name: [episode.signals[f"{name}.{axis}"] for axis in "xy"] for name in ("base", "box")}
+    return {f"{name}_travel": float(np.hypot(x[-1] - x[first], y[-1] - y[first])) for name, (x, y) in places.items()}
+
+
+def _find_least_after_pause(record: ManipulatorRecord, times: np.ndarray, errors: np.ndarray) -> float | None:
+    """Return the least distance after the safety pause of the first impact; None if nothing comes after it."""
+    if not record.collisions:
+        return None
+    after = times >= record.collisions[0].impact.time + record.scenario.safety_pause - 1e-9
+    return float(errors[after].min()) if after.any() else None
 
 
 def _judge(scenario: FloatingManipulatorScenario, episode: Episode) -> list[dict[str, Any]]:

@@ -44,6 +44,7 @@ class FlightRecord:
 
     Attributes:
         scenario: where.
+        expert: that is watched, None for another policy.
         plan: that the policy follows, None without one.
         events: time [s] and name, of `world_memory.COUNTERS`, of whatever the expert counted.
         replans: time [s] and robot whose course was planned anew, to an impact or back to the plan.
@@ -54,8 +55,8 @@ class FlightRecord:
     def __init__(self, scenario: FreeFlyerScenario, policy: Policy) -> None:
         self.scenario = scenario
         expert = getattr(policy, "expert", policy)
-        self._expert = expert if isinstance(expert, FreeFlyerExpert) else None
-        self.plan: Plan | None = self._expert.plan if self._expert else None
+        self.expert = expert if isinstance(expert, FreeFlyerExpert) else None
+        self.plan: Plan | None = self.expert.plan if self.expert else None
         self._clear()
 
     def add(self, env: Any) -> None:
@@ -66,8 +67,8 @@ class FlightRecord:
         """
         if env.steps == 0:
             self._clear()
-        elif self._expert:
-            self._add_step(self._expert, self.scenario)
+        elif self.expert:
+            self._add_step(self.expert, self.scenario)
 
     @property
     def courses(self) -> dict[str, np.ndarray]:

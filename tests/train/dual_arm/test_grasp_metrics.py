@@ -29,6 +29,15 @@ def cache(tmp_path_factory):
         yield
 
 
+def test_there_is_no_torque_step_without_a_grasp(cache, capsys):
+    # Twice as heavy as believed and without synchronisation: both arms touch the box, but never press with all corners.
+    changed = ("horizon=1.6", "formula=G[0,1.6] box.lag <= 1", "true.mass_scale=2.0")
+    assert main(("run", "dual_arm_grasp", "--policy", "no_synchronisation", "--set", *changed, "--json")) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert len(said["impacts"]) > 0
+    assert said["torque_step"] is said["slip"] is said["interim_duration"] is None
+
+
 @pytest.fixture(scope="module")
 def shown(cache):
     """What `impact run dual_arm_grasp --policy P --json` prints, by policy; the expert carries the box on."""

@@ -1,0 +1,1 @@
+"""Papers against here: published numbers, computed again by our commands."""
