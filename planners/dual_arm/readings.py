@@ -21,9 +21,9 @@ class Readings:
 
     Each arm's angles and rates are judged by a `ReadingGate`, in whose reach the torque limits push joint i by
     tau_i / (I_i + m_i c_i^2), and an impact changes its rate by at most 2 v / l_i, v the pads' speed at the planned
-    impact and l_i the length of link i. Normal forces at a pad's corners are believed from 0 to `force`, and above 0 before the
-    first contact only where the pad is near the believed box; after `patience` in any case. What replaces them are the
-    last ones that were believed.
+    impact and l_i the length of link i. Normal forces at a pad's corners are believed from 0 to `force`, and above 0
+    before the first contact only where the pad is near the believed box; after `patience` in any case. What replaces
+    them are the last ones that were believed.
 
     Args:
         scenario: as believed.

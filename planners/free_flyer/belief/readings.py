@@ -131,17 +131,14 @@ def judge_reading(
         fits = False
     elif whole:
         track.time = now
-    if fits:
+    apart = math.hypot(joint[k, at + X] - track.reading[X], joint[k, at + Y] - track.reading[Y])
+    if fits or not whole:
         track.since = math.inf
-    else:
-        apart = math.hypot(joint[k, at + X] - track.reading[X], joint[k, at + Y] - track.reading[Y])
-        if not whole or not apart <= near + jump * dt:
-            track.since = math.inf
-        elif track.since == math.inf:
-            track.since = now
+    elif track.since == math.inf or not apart <= near + jump * dt:
+        track.since = now
     for j in range(BODY_SIZE):
         track.reading[j] = joint[k, at + j]
-    if not fits and now - track.since < options.estimation.patience:
+    if not fits and now - track.since < options.estimation.patience - plan.period / 2.0:
         memory.counts[k].rejected += 1
         return REJECTED
     if not fits:
