@@ -17,105 +17,69 @@ are taken up: then what was predicted was wrong, and not the sensor.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-# What is done with a reading; the first two are replaced by a prediction.
+# What is done with a reading, in `COUNTS` by name; the first two are replaced by a prediction.
 MISSING, REJECTED, TAKEN_UP, BELIEVED = range(4)
+COUNTS = ("no_measurement", "rejected", "taken_up")
+# Rows of a gate, an array of a column for each coordinate, in SI units. What is known: coordinate and rate that are
+# believed, and those read last. Its reach: margins of both, acceleration by the actuators at their limits, change of
+# the rate by an impact, and whether the coordinate is known up to whole turns only.
+Q, V, LAST_Q, LAST_V, PLACE, RATE, PUSH, JUMP, TURNS, STATE, ROWS = range(11)
+# Columns of the row STATE: periods since anything was read, periods for which readings that are rejected agree, and
+# how many different readings there were: sensors with a delay repeat the first one.
+UNREAD, AGREEING, DIFFERENT = range(3)
 NEVER = 1e9  # periods since the last reading, before the first one
 STILL = 1e-9  # what moves more slowly can be read twice at the same place
-# Places in `ReadingGate._state`: periods since anything was read, periods for which readings that are rejected agree,
-# and how many different readings there were: sensors with a delay repeat the first one.
-UNREAD, AGREEING, DIFFERENT, STATE_SIZE = range(4)
 
 
-class Reach(NamedTuple):
-    """How far from what is predicted a coordinate and its rate are believed; SI units, each of shape (n,).
-
-    Attributes:
-        place, rate: margins.
-        push: acceleration by the actuators at their limits.
-        jump: change of the rate by an impact.
-        turns: whether the coordinate is known up to whole turns only.
-    """
-
-    place: np.ndarray
-    rate: np.ndarray
-    push: np.ndarray
-    jump: np.ndarray
-    turns: np.ndarray
-
-
-class ReadingGate:
-    """Judge the readings of n coordinates and their rates, one call per control period.
+def make_gate(place: np.ndarray, rate: np.ndarray, push: np.ndarray, jump: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """Make the gate of n >= 3 coordinates.
 
     Args:
-        reach: of every coordinate.
-        period: of control, T [s].
-        patience: after which readings that are rejected, but agree, are taken up [s].
+        place, rate: margins of coordinates and rates, shape (n,).
+        push: acceleration by the actuators at their limits, shape (n,).
+        jump: change of the rate by an impact, at most, shape (n,).
+        turns: which coordinates are known up to whole turns only, shape (n,).
 
-    Attributes:
-        q, v: what is believed now, shape (n,): the reading, or what `predict` was told.
+    Returns:
+        Shape (ROWS, n).
     """
+    gate = np.zeros((ROWS, len(place)))
+    gate[PLACE], gate[RATE], gate[PUSH], gate[JUMP], gate[TURNS] = place, rate, push, jump, turns
+    return gate
 
-    def __init__(self, reach: Reach, period: float, patience: float) -> None:
-        self._reach, self._period = reach, period
-        self._patience = math.ceil(patience / period)
-        self.reset(np.zeros(len(reach.place)))
 
-    def reset(self, q: np.ndarray, known: bool = True) -> None:
-        """Expect the first reading at rest at coordinates q, shape (n,).
+def open_gate(gate: np.ndarray, q: np.ndarray, known: bool = True) -> None:
+    """Expect the first reading at rest at coordinates q.
 
-        Args:
-            q: at the start.
-            known: otherwise the first reading may be anywhere.
-        """
-        self.q, self.v = np.array(q, dtype=float), np.zeros(len(q))
-        self._last_q, self._last_v = np.full(len(q), np.nan), np.full(len(q), np.nan)
-        self._state = np.zeros(STATE_SIZE)
-        self._state[UNREAD] = 0.0 if known else NEVER
-
-    def judge(self, q: np.ndarray, v: np.ndarray, touched: bool) -> int:
-        """Return what is done with a reading; if it is believed or taken up, it is the new `q` and `v`.
-
-        Args:
-            q, v: as read, shape (n,).
-            touched: an impact was felt.
-        """
-        believed, last = (self.q, self.v), (self._last_q, self._last_v)
-        return judge_reading(self._reach, q, v, *believed, *last, self._state, self._period, touched, self._patience)
-
-    def predict(self, a: np.ndarray) -> None:
-        """Move on what is believed by a period instead of a reading: q += T v + T^2 a / 2, v += T a.
-
-        Args:
-            a: acceleration, shape (n,).
-        """
-        self.q += self._period * (self.v + self._period / 2.0 * a)
-        self.v += self._period * a
+    Args:
+        gate: changed in place.
+        q: at the start, shape (n,).
+        known: otherwise the first reading may be anywhere.
+    """
+    gate[Q], gate[V], gate[LAST_Q], gate[LAST_V], gate[STATE] = q, 0.0, np.nan, np.nan, 0.0
+    gate[STATE, UNREAD] = 0.0 if known else NEVER
 
 
 @njit(cache=True)
-def judge_reading(
-    reach: Reach,
-    q: np.ndarray,
-    v: np.ndarray,
-    q_hat: np.ndarray,
-    v_hat: np.ndarray,
-    last_q: np.ndarray,
-    last_v: np.ndarray,
-    state: np.ndarray,
-    period: float,
-    touched: bool,
-    patience: int,
-) -> int:
-    """Judge a reading, see `ReadingGate.judge`; what is believed, the last reading and the state are updated."""
+def judge_reading(gate: np.ndarray, q: np.ndarray, v: np.ndarray, period: float, touched: bool, patience: float) -> int:
+    """Return what is done with a reading; if it is believed or taken up, it is what is believed now.
+
+    Args:
+        gate: changed in place, shape (ROWS, n).
+        q, v: as read, shape (n,).
+        period: of control, T [s].
+        touched: an impact was felt.
+        patience: after which readings that are rejected, but agree, are taken up [s].
+    """
+    n, state = gate.shape[1], gate[STATE]
     total, moving, repeated = 0.0, False, True
-    for i in range(len(q)):
+    for i in range(n):
         total += q[i] + v[i]
-        repeated = repeated and q[i] == last_q[i] and v[i] == last_v[i]
+        repeated = repeated and q[i] == gate[LAST_Q, i] and v[i] == gate[LAST_V, i]
         moving = moving or abs(v[i]) > STILL
     if not math.isfinite(total):
         state[UNREAD] += 1.0
@@ -124,43 +88,57 @@ def judge_reading(
     stale = repeated and moving and state[DIFFERENT] > 1.0
     state[UNREAD] = state[UNREAD] + 1.0 if stale else 0.0
     state[DIFFERENT] += 0.0 if repeated else 1.0
-    near = not stale and is_near(reach, q, v, q_hat, v_hat, period, dt, hit)
-    agrees = is_near(reach, q, v, last_q, last_v, period, dt, hit)
-    last_q[:], last_v[:] = q, v
+    near, agrees = not stale, True
+    if near:
+        near = is_near(gate, Q, q, v, period, dt, hit)
+    if not near:
+        agrees = is_near(gate, LAST_Q, q, v, period, dt, hit)
+    for i in range(n):
+        gate[LAST_Q, i], gate[LAST_V, i] = q[i], v[i]
     if near:
         state[AGREEING] = 0.0
     else:
         state[AGREEING] = state[AGREEING] + 1.0 if agrees else 0.0
-        if state[AGREEING] < patience:
+        if state[AGREEING] * period < patience - period / 2.0:
             return REJECTED
         state[AGREEING] = 0.0
-    q_hat[:], v_hat[:] = q, v
+    for i in range(n):
+        gate[Q, i], gate[V, i] = q[i], v[i]
     return BELIEVED if near else TAKEN_UP
 
 
 @njit(cache=True)
-def is_near(
-    reach: Reach,
-    q: np.ndarray,
-    v: np.ndarray,
-    q_hat: np.ndarray,
-    v_hat: np.ndarray,
-    period: float,
-    dt: float,
-    hit: bool,
-) -> bool:
+def is_near(gate: np.ndarray, row: int, q: np.ndarray, v: np.ndarray, period: float, dt: float, hit: bool) -> bool:
     """Return whether coordinates and rates lie within reach of others a period before them.
 
     Args:
+        gate: holds the others.
+        row: of their coordinates; that of their rates comes next.
+        q, v: as read, shape (n,).
+        period: of control [s].
         dt: time since the last reading [s].
         hit: an impact may have happened since then.
     """
-    for i in range(len(q)):
-        jump = reach.jump[i] if hit else 0.0
-        away = q[i] - q_hat[i] - period * v_hat[i]
-        if reach.turns[i]:
+    for i in range(gate.shape[1]):
+        jump = gate[JUMP, i] if hit else 0.0
+        away = q[i] - gate[row, i] - period * gate[row + 1, i]
+        if gate[TURNS, i]:
             away -= 2.0 * math.pi * math.floor(away / (2.0 * math.pi) + 0.5)
-        near = abs(away) <= reach.place[i] + jump * dt
-        if not (near and abs(v[i] - v_hat[i]) <= reach.rate[i] + reach.push[i] * dt + jump):
+        near = abs(away) <= gate[PLACE, i] + jump * dt
+        if not (near and abs(v[i] - gate[row + 1, i]) <= gate[RATE, i] + gate[PUSH, i] * dt + jump):
             return False
     return True
+
+
+@njit(cache=True)
+def predict_reading(gate: np.ndarray, a: np.ndarray, period: float) -> None:
+    """Move on what is believed by a period instead of a reading: q += T v + T^2 a / 2, v += T a.
+
+    Args:
+        gate: changed in place.
+        a: acceleration, shape (n,).
+        period: T [s].
+    """
+    for i in range(gate.shape[1]):
+        gate[Q, i] += period * (gate[V, i] + period / 2.0 * a[i])
+        gate[V, i] += period * a[i]

@@ -93,7 +93,7 @@ class DualArmExpert:
         """
         begin = time.perf_counter()
         self._rows = np.array([observations[name][: ARM.size] for name in self._scenario.arms], dtype=float)
-        self._readings.check(self._rows, self.controller.accelerations)
+        self._readings.check(self._rows, self.controller.solution)
         ticks = self.controller.ticks_of_grasp
         self._awaiting = ticks >= self._first and (ticks - self._first) % self._every == 0
         if self._awaiting:

@@ -4,22 +4,58 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from impact_envs.dual_arm.arm import compute_pose
 from impact_envs.dual_arm.observation import ARM
 from impact_envs.dual_arm.schema import DualArmScenario
 from planners.dual_arm.options import EXPERT, ReadingOptions
-from planners.reading_gate import BELIEVED, MISSING, REJECTED, Reach, ReadingGate
+from planners.dual_arm.torque_qp import QDD
+from planners.reading_gate import (
+    BELIEVED,
+    COUNTS,
+    MISSING,
+    REJECTED,
+    Q,
+    V,
+    judge_reading,
+    make_gate,
+    open_gate,
+    predict_reading,
+)
 
-ANGLES, RATES, FORCES = ARM["angles"], ARM["rates"], ARM["forces"]
+ANGLES, RATES, FORCES = (ARM[name].start for name in ("angles", "rates", "forces"))
+
+
+class Surroundings(NamedTuple):
+    """Where contacts are possible: the believed box, within a distance that the pads' size is part of.
+
+    Attributes:
+        x, y, cos, sin: place and direction of the box [m].
+        along, across: how far a pad's centre may be from the box's, along and across its direction [m].
+        force: greatest normal force [N].
+        period: of control [s].
+        patience: after which readings that are rejected, but agree, are taken up [s].
+    """
+
+    x: float
+    y: float
+    cos: float
+    sin: float
+    along: float
+    across: float
+    force: float
+    period: float
+    patience: float
 
 
 class Readings:
     """Replace readings of the arms that are missing, or that no motion explains.
 
-    Each arm's angles and rates are judged by a `ReadingGate`, in whose reach the torque limits push joint i by
+    Each arm's angles and rates are judged by a `reading_gate`, in whose reach the torque limits push joint i by
     tau_i / (I_i + m_i c_i^2), and an impact changes its rate by at most 2 v / l_i, v the pads' speed at the planned
     impact and l_i the length of link i. Normal forces at a pad's corners are believed from 0 to `force`, and above 0
     before the first contact only where the pad is near the believed box; after `patience` in any case. What replaces
@@ -29,81 +65,110 @@ class Readings:
         scenario: as believed.
         impact_speed: of the pads at the planned impact [m/s].
         options: margins, patience.
-
-    Attributes:
-        counts: how often readings were missing, rejected, taken up.
     """
 
     def __init__(
         self, scenario: DualArmScenario, impact_speed: float, options: ReadingOptions = EXPERT.readings
     ) -> None:
-        self._options, self._numbers = options, scenario.arm_numbers()
-        self._box, self._size = scenario.box.start.array, (scenario.box.half_width, scenario.box.half_height)
-        self._pad = scenario.links.pad_half_height
-        self._patience = math.ceil(options.patience / scenario.control_period)
-        reach = _make_reach(scenario, impact_speed, options)
-        self._gates = [ReadingGate(reach, scenario.control_period, options.patience) for _ in range(2)]
+        box, near = scenario.box, options.near
+        x, y, heading = box.start.array.tolist()
+        across = box.half_height + scenario.links.pad_half_height + near
+        place = (x, y, math.cos(heading), math.sin(heading), box.half_width + near, across)
+        self._surroundings = Surroundings(*place, options.force, scenario.control_period, options.patience)
+        self._numbers, self._gates = scenario.arm_numbers(), _make_gates(scenario, impact_speed, options)
         self.reset()
 
     def reset(self) -> None:
         """Expect the arms anywhere, and no contact."""
-        self.counts: Counter[str] = Counter()
         for gate in self._gates:
-            gate.reset(np.zeros(3), known=False)
-        self._forces, self._doubted = np.zeros((2, 2)), [0, 0]
+            open_gate(gate, np.zeros(3), known=False)
+        self._forces, self._doubted, self._counts = np.zeros((2, 2)), np.zeros(2), np.zeros(len(COUNTS), np.int64)
 
-    def check(self, rows: np.ndarray, accelerations: np.ndarray) -> None:
+    @property
+    def counts(self) -> Counter[str]:
+        """Return how often readings were missing, rejected, taken up."""
+        return Counter({name: count for name, count in zip(COUNTS, self._counts.tolist(), strict=True) if count})
+
+    def check(self, rows: np.ndarray, solution: np.ndarray) -> None:
         """Replace in place what is not believed of a reading.
 
         Args:
             rows: of both arms as read, shape (2, ARM.size).
-            accelerations: of the joints that the last torques should cause, shape (2, 3) [rad/s^2].
+            solution: of the program that gave the last torques, with the accelerations that they should cause.
         """
-        touching = bool(self._forces.any() or (rows[:, FORCES] > 0.0).any())
-        for i, gate in enumerate(self._gates):
-            row = rows[i]
-            use = gate.judge(row[ANGLES], row[RATES], touching)
-            if use != BELIEVED:
-                self.counts["no_measurement" if use == MISSING else "rejected" if use == REJECTED else "taken_up"] += 1
-                if use <= REJECTED:
-                    gate.predict(accelerations[i])
-                row[ANGLES], row[RATES] = gate.q, gate.v
-            self._check_forces(i, row)
+        known = self._forces, self._doubted, self._counts
+        judge_rows(self._gates, rows, solution, self._numbers, *known, self._surroundings)
 
-    def _check_forces(self, i: int, row: np.ndarray) -> None:
-        """Replace the normal forces at pad i's corners in place if they are not believed."""
-        first, second = row[FORCES].tolist()
-        possible = min(first, second) >= 0.0 and max(first, second) <= self._options.force
-        if (first == 0.0 and second == 0.0) or (possible and self._may_touch(i)):
-            self._doubted[i] = 0
+
+@njit(cache=True)
+def judge_rows(
+    gates: np.ndarray,
+    rows: np.ndarray,
+    solution: np.ndarray,
+    numbers: np.ndarray,
+    forces: np.ndarray,
+    doubted: np.ndarray,
+    counts: np.ndarray,
+    near: Surroundings,
+) -> None:
+    """Judge the readings of both arms, see `Readings`.
+
+    Args:
+        gates: shape (2, ROWS, 3).
+        rows: as read; what is not believed is replaced, shape (2, ARM.size).
+        solution: joint accelerations begin at QDD.
+        numbers: rows of `arm.make_arm`, shape (2, 14).
+        forces: believed last, shape (2, 2) [N].
+        doubted: periods for which forces are not believed, shape (2,).
+        counts: of `COUNTS`, shape (3,).
+        near: where contacts are possible.
+    """
+    touching = False
+    for i in range(2):
+        for j in range(2):
+            touching = touching or forces[i, j] > 0.0 or rows[i, FORCES + j] > 0.0
+    for i in range(2):
+        gate, angles, rates = gates[i], rows[i, ANGLES : ANGLES + 3], rows[i, RATES : RATES + 3]
+        use = judge_reading(gate, angles, rates, near.period, touching, near.patience)
+        if use != BELIEVED:
+            counts[use] += 1
+            if use in (MISSING, REJECTED):
+                predict_reading(gate, solution[QDD + 3 * i : QDD + 3 * i + 3], near.period)
+            for j in range(3):
+                angles[j], rates[j] = gate[Q, j], gate[V, j]
+        first, second = rows[i, FORCES], rows[i, FORCES + 1]
+        least, most = min(first, second), max(first, second)
+        touched = forces[i, 0] > 0.0 or forces[i, 1] > 0.0
+        possible = least >= 0.0 and most <= near.force and math.isfinite(first + second)
+        if possible and (most == 0.0 or touched or may_touch(numbers[i], gate, near)):
+            doubted[i] = 0.0
         else:
             finite = math.isfinite(first + second)
-            self.counts["rejected" if finite else "no_measurement"] += 1
-            self._doubted[i] = self._doubted[i] + 1 if finite else 0
-            if self._doubted[i] <= self._patience:
-                row[FORCES] = self._forces[i]
-                return
-        self._forces[i] = row[FORCES]
-
-    def _may_touch(self, i: int) -> bool:
-        """Return whether pad i is near the believed box, or has touched it."""
-        if self._forces[i].any():
-            return True
-        x, y, _ = compute_pose(self._numbers[i], *self._gates[i].q)
-        (box_x, box_y, heading), (width, height) = self._box, self._size
-        c, d = math.cos(heading), math.sin(heading)
-        along, across = c * (x - box_x) + d * (y - box_y), c * (y - box_y) - d * (x - box_x)
-        near = self._options.near
-        return abs(along) <= width + near and abs(across) <= height + self._pad + near
+            counts[REJECTED if finite else MISSING] += 1
+            doubted[i] = doubted[i] + 1.0 if finite else 0.0
+            if doubted[i] * near.period <= near.patience:
+                rows[i, FORCES], rows[i, FORCES + 1] = forces[i, 0], forces[i, 1]
+        forces[i, 0], forces[i, 1] = rows[i, FORCES], rows[i, FORCES + 1]
 
 
-def _make_reach(scenario: DualArmScenario, impact_speed: float, options: ReadingOptions) -> Reach:
+@njit(cache=True)
+def may_touch(arm: np.ndarray, gate: np.ndarray, near: Surroundings) -> bool:
+    """Return whether an arm's pad is near the believed box."""
+    x, y, _ = compute_pose(arm, gate[Q, 0], gate[Q, 1], gate[Q, 2])
+    along = near.cos * (x - near.x) + near.sin * (y - near.y)
+    across = near.cos * (y - near.y) - near.sin * (x - near.x)
+    return abs(along) <= near.along and abs(across) <= near.across
+
+
+def _make_gates(scenario: DualArmScenario, impact_speed: float, options: ReadingOptions) -> np.ndarray:
+    """Return the gates of both arms, shape (2, ROWS, 3)."""
     links = scenario.links
     pairs = zip(links.torque_limits, links.inertias, links.masses, links.centers, strict=True)
-    return Reach(
+    gate = make_gate(
         place=np.full(3, options.angle),
         rate=np.full(3, options.rate),
         push=np.array([torque / (inertia + mass * center**2) for torque, inertia, mass, center in pairs]),
         jump=2.0 * impact_speed / np.array(links.lengths),
-        turns=np.zeros(3, dtype=bool),
+        turns=np.zeros(3),
     )
+    return np.array([gate, gate])

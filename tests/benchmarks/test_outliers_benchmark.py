@@ -31,7 +31,7 @@ def test_a_kind_is_played_and_written(tmp_path, capsys):
     assert "bodies swapped" in capsys.readouterr().out
 
 
-@pytest.mark.slow  # four minutes
+@pytest.mark.slow  # two minutes
 @pytest.mark.parametrize(
     "scenario", ["corridor:all", "floating_manipulator_thrusters:nominal", "dual_arm_grasp:nominal"]
 )

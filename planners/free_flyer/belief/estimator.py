@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled
-from impact_envs.free_flyer.sensing import BODY_SIZE, COS, OMEGA, SIN, VX, VY, X, Y, find_contact_place
+from impact_envs.free_flyer.sensing import BODY_SIZE, OMEGA, VX, VY, X, Y, find_contact_place
 from impact_envs.physics.impact import compute_velocity_gain
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain, get_pair, learn_velocity_error
 from planners.free_flyer.belief.options import Options
@@ -200,17 +200,15 @@ def update_estimates(
         if use in (MISSING, REJECTED):
             continue
         dx, dy = joint[k, at + VX] - z.velocity[0], joint[k, at + VY] - z.velocity[1]
-        is_speed = is_speed_possible(plan, memory, options, k, i, math.hypot(dx, dy))
+        square = dx * dx + dy * dy
+        is_speed = is_speed_possible(plan, memory, options, k, i, square)
         if calm and is_speed:
-            learn_velocity_error(memory, options, k, i, dx * dx + dy * dy, slow * slow * variance)
+            learn_velocity_error(memory, options, k, i, square, slow * slow * variance)
         correct_position(z, joint[k, at + X], joint[k, at + Y], variance)
         if is_speed:
             correct_velocity(z, joint[k, at + VX], joint[k, at + VY], slow * slow * variance)
-        # The measured angle is only known up to whole turns.
-        turn = math.atan2(joint[k, at + SIN], joint[k, at + COS]) - plan.body[i].heading
-        turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
         heading, rate = memory.heading[k, i], joint[k, at + OMEGA]
-        heading.angle = plan.body[i].heading + turn
+        heading.angle = memory.track[k, i].angle
         if abs(rate - heading.rate) <= plan.body[i].jump / plan.body[i].radius:
             heading.rate = rate
         else:

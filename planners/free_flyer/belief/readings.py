@@ -27,7 +27,7 @@ import math
 
 import numpy as np
 
-from impact_envs.compiled import compiled, inlined
+from impact_envs.compiled import inlined
 from impact_envs.free_flyer.sensing import BODY_SIZE, COS, OMEGA, SIN, TIME, VX, VY, X, Y, find_shared_place
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
@@ -58,7 +58,7 @@ def open_tracks(plan: PlanTable, memory: WorldMemory, k: int) -> None:
         track.reading[COS], track.reading[SIN] = math.cos(body.heading), math.sin(body.heading)
         track.reading[OMEGA] = 0.0
         track.time, track.since, track.doubted = -plan.period, math.inf, -math.inf
-        track.changes, track.use = 0, EXPECTED
+        track.changes, track.use = False, EXPECTED
 
 
 @inlined
@@ -74,34 +74,52 @@ def read_clock(plan: PlanTable, memory: WorldMemory, options: Options, k: int, j
 
 
 @inlined
-def is_speed_possible(plan: PlanTable, memory: WorldMemory, options: Options, k: int, i: int, miss: float) -> bool:
+def is_speed_possible(plan: PlanTable, memory: WorldMemory, options: Options, k: int, i: int, square: float) -> bool:
     """Return whether the velocity read of body i can be; otherwise count that it is left out.
 
     Args:
-        miss: size of the difference from the filter's velocity [m/s].
+        square: of the difference from the filter's velocity [m^2/s^2].
     """
+    if square <= plan.body[i].jump * plan.body[i].jump:
+        return True
     noise = memory.sensor[k].sigma / plan.period  # of the difference of two places, over sqrt(2)
     spread = math.sqrt(memory.filter[k, i].P_vv + 2.0 * noise * noise)
-    possible = miss <= plan.body[i].jump + options.estimation.surprise * spread
+    possible = math.sqrt(square) <= plan.body[i].jump + options.estimation.surprise * spread
     memory.counts[k].rejected += 0 if possible else 1
     return possible
 
 
-@compiled
+@inlined
+def is_repeated(track: np.record, joint: np.ndarray, k: int, at: int) -> bool:
+    """Return whether a body's reading, which begins at a place, is the one before it, bit for bit."""
+    repeated = True
+    for j in range(BODY_SIZE):
+        repeated = repeated and joint[k, at + j] == track.reading[j]
+    return repeated
+
+
+@inlined
+def is_moving(memory: WorldMemory, k: int, joint: np.ndarray, at: int) -> bool:
+    """Return whether no two readings of a body can be alike: it has a speed, or readings are noisy."""
+    noisy = memory.sensor[k].weight > KNOWN_NOISE and memory.sensor[k].sigma > NOISY
+    speed = max(abs(joint[k, at + VX]), abs(joint[k, at + VY]))
+    return noisy or speed > STILL or abs(joint[k, at + OMEGA]) > STILL
+
+
+@inlined
 def judge_reading(
     plan: PlanTable, memory: WorldMemory, options: Options, k: int, i: int, joint: np.ndarray, miss: float
 ) -> int:
-    """Return what is done with the reading of body i, and remember it.
+    """Return what is done with the reading of body i, and remember it, with the angle read.
 
     Args:
         joint: everything measured once, shape (N, 7 n + r + 3).
         miss: distance between read and predicted place [m].
     """
     track, z, at, now = memory.track[k, i], memory.filter[k, i], BODY_SIZE * i, memory.time[k]
-    total, repeated = 0.0, True
+    total = 0.0
     for j in range(BODY_SIZE):
         total += joint[k, at + j]
-        repeated = repeated and joint[k, at + j] == track.reading[j]
     if not math.isfinite(total):
         memory.counts[k].no_measurement += 1
         return MISSING
@@ -115,27 +133,30 @@ def judge_reading(
             memory.filter[k, i], miss, near = old, old_miss, old_near
             track.doubted = -math.inf
             memory.counts[k].rejected += 1
-    speed = math.hypot(joint[k, at + VX], joint[k, at + VY])
     cos, sin = joint[k, at + COS], joint[k, at + SIN]
-    turn = math.atan2(sin, cos) - memory.heading[k, i].angle
+    # The angle read is only known up to whole turns.
+    turn = math.atan2(sin, cos) - plan.body[i].heading
+    turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+    track.angle = plan.body[i].heading + turn
+    turn = track.angle - memory.heading[k, i].angle
     turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
     outside = max(plan.walls[0] - joint[k, at + X], joint[k, at + X] - plan.walls[2])
     outside = max(outside, plan.walls[1] - joint[k, at + Y], joint[k, at + Y] - plan.walls[3])
     whole = abs(cos * cos + sin * sin - 1.0) <= UNIT and outside <= near
     fits = whole and miss <= near + jump * dt and abs(turn) <= jump * dt / plan.body[i].radius
-    noisy = memory.sensor[k].weight > KNOWN_NOISE and sigma > NOISY
-    moves = noisy or miss > near or speed > STILL or abs(joint[k, at + OMEGA]) > STILL
-    stale = repeated and moves and track.changes > 0
-    track.changes += 0 if repeated or track.time < 0.0 else 1
+    stale = track.changes and (miss > near or is_moving(memory, k, joint, at)) and is_repeated(track, joint, k, at)
     if stale:
         fits = False
     elif whole:
+        if not track.changes:
+            track.changes = track.time >= 0.0 and not is_repeated(track, joint, k, at)
         track.time = now
-    apart = math.hypot(joint[k, at + X] - track.reading[X], joint[k, at + Y] - track.reading[Y])
     if fits or not whole:
         track.since = math.inf
-    elif track.since == math.inf or not apart <= near + jump * dt:
-        track.since = now
+    else:
+        apart = math.hypot(joint[k, at + X] - track.reading[X], joint[k, at + Y] - track.reading[Y])
+        if track.since == math.inf or not apart <= near + jump * dt:
+            track.since = now
     for j in range(BODY_SIZE):
         track.reading[j] = joint[k, at + j]
     if not fits and now - track.since < options.estimation.patience - plan.period / 2.0:

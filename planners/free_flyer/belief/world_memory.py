@@ -46,7 +46,8 @@ TRACK = np.dtype(
         ("reading", float, BODY_SIZE),  # as it stood in the observation
         ("time", float),  # when anything new was read last, before 0: never [s]
         ("since", float),  # since when readings are impossible but agree with each other; inf if they do not [s]
-        ("changes", int),  # how often a reading was not the one before it
+        ("angle", float),  # that it has, nearest to the heading at the start [rad]
+        ("changes", bool),  # whether a reading was ever not the one before it; sensors with a delay repeat the first
         ("use", int),  # what is done with the last one: `readings.MISSING` ... `EXPECTED`
         ("doubted", float),  # until when `old` is kept, -inf if it is not [s]
         ("old", FILTER),  # the estimate as if there had been no surprise

@@ -102,7 +102,7 @@ def test_the_case_that_was_found_gives_numbers(
     for _ in range(60):
         seen = env.step(expert.act(seen))[0]
     for value in (np.nan, np.inf, -np.inf):
-        actions = expert.act({name: vector * value for name, vector in seen.items()})
+        actions = expert.act({name: np.full_like(vector, value) for name, vector in seen.items()})
         assert all(np.isfinite(action).all() for action in actions.values())
     assert expert.diagnostics().fallbacks["no_measurement"] == 6  # of manipulator and box
 
