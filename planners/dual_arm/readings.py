@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -30,26 +29,10 @@ from planners.reading_gate import (
 ANGLES, RATES, FORCES = (ARM[name].start for name in ("angles", "rates", "forces"))
 
 
-class Surroundings(NamedTuple):
-    """Where contacts are possible: the believed box, within a distance that the pads' size is part of.
-
-    Attributes:
-        x, y, cos, sin: place and direction of the box [m].
-        along, across: how far a pad's centre may be from the box's, along and across its direction [m].
-        force: greatest normal force [N].
-        period: of control [s].
-        patience: after which readings that are rejected, but agree, are taken up [s].
-    """
-
-    x: float
-    y: float
-    cos: float
-    sin: float
-    along: float
-    across: float
-    force: float
-    period: float
-    patience: float
+# Elements of what `judge_rows` is told of the surroundings: place and direction of the believed box [m]; how far a pad's
+# centre may be from the box's where they touch, along and across its direction [m]; greatest normal force [N]; control
+# period and patience [s].
+X, Y, COS, SIN, ALONG, ACROSS, FORCE, PERIOD, PATIENCE = range(9)
 
 
 class Readings:
@@ -74,7 +57,7 @@ class Readings:
         x, y, heading = box.start.array.tolist()
         across = box.half_height + scenario.links.pad_half_height + near
         place = (x, y, math.cos(heading), math.sin(heading), box.half_width + near, across)
-        self._surroundings = Surroundings(*place, options.force, scenario.control_period, options.patience)
+        self._near = np.array([*place, options.force, scenario.control_period, options.patience])
         self._numbers, self._gates = scenario.arm_numbers(), _make_gates(scenario, impact_speed, options)
         self.reset()
 
@@ -97,7 +80,7 @@ class Readings:
             solution: of the program that gave the last torques, with the accelerations that they should cause.
         """
         known = self._forces, self._doubted, self._counts
-        judge_rows(self._gates, rows, solution, self._numbers, *known, self._surroundings)
+        judge_rows(self._gates, rows, solution, self._numbers, *known, self._near)
 
 
 @njit(cache=True)
@@ -109,7 +92,7 @@ def judge_rows(
     forces: np.ndarray,
     doubted: np.ndarray,
     counts: np.ndarray,
-    near: Surroundings,
+    near: np.ndarray,
 ) -> None:
     """Judge the readings of both arms, see `Readings`.
 
@@ -121,7 +104,7 @@ def judge_rows(
         forces: believed last, shape (2, 2) [N].
         doubted: periods for which forces are not believed, shape (2,).
         counts: of `COUNTS`, shape (3,).
-        near: where contacts are possible.
+        near: the surroundings, elements X to PATIENCE, shape (9,).
     """
     touching = False
     for i in range(2):
@@ -129,35 +112,35 @@ def judge_rows(
             touching = touching or forces[i, j] > 0.0 or rows[i, FORCES + j] > 0.0
     for i in range(2):
         gate, angles, rates = gates[i], rows[i, ANGLES : ANGLES + 3], rows[i, RATES : RATES + 3]
-        use = judge_reading(gate, angles, rates, near.period, touching, near.patience)
+        use = judge_reading(gate, angles, rates, near[PERIOD], touching, near[PATIENCE])
         if use != BELIEVED:
             counts[use] += 1
             if use in (MISSING, REJECTED):
-                predict_reading(gate, solution[QDD + 3 * i : QDD + 3 * i + 3], near.period)
+                predict_reading(gate, solution[QDD + 3 * i : QDD + 3 * i + 3], near[PERIOD])
             for j in range(3):
                 angles[j], rates[j] = gate[Q, j], gate[V, j]
         first, second = rows[i, FORCES], rows[i, FORCES + 1]
         least, most = min(first, second), max(first, second)
         touched = forces[i, 0] > 0.0 or forces[i, 1] > 0.0
-        possible = least >= 0.0 and most <= near.force and math.isfinite(first + second)
+        possible = least >= 0.0 and most <= near[FORCE] and math.isfinite(first + second)
         if possible and (most == 0.0 or touched or may_touch(numbers[i], gate, near)):
             doubted[i] = 0.0
         else:
             finite = math.isfinite(first + second)
             counts[REJECTED if finite else MISSING] += 1
             doubted[i] = doubted[i] + 1.0 if finite else 0.0
-            if doubted[i] * near.period <= near.patience:
+            if doubted[i] * near[PERIOD] <= near[PATIENCE]:
                 rows[i, FORCES], rows[i, FORCES + 1] = forces[i, 0], forces[i, 1]
         forces[i, 0], forces[i, 1] = rows[i, FORCES], rows[i, FORCES + 1]
 
 
 @njit(cache=True)
-def may_touch(arm: np.ndarray, gate: np.ndarray, near: Surroundings) -> bool:
+def may_touch(arm: np.ndarray, gate: np.ndarray, near: np.ndarray) -> bool:
     """Return whether an arm's pad is near the believed box."""
     x, y, _ = compute_pose(arm, gate[Q, 0], gate[Q, 1], gate[Q, 2])
-    along = near.cos * (x - near.x) + near.sin * (y - near.y)
-    across = near.cos * (y - near.y) - near.sin * (x - near.x)
-    return abs(along) <= near.along and abs(across) <= near.across
+    along = near[COS] * (x - near[X]) + near[SIN] * (y - near[Y])
+    across = near[COS] * (y - near[Y]) - near[SIN] * (x - near[X])
+    return abs(along) <= near[ALONG] and abs(across) <= near[ACROSS]
 
 
 def _make_gates(scenario: DualArmScenario, impact_speed: float, options: ReadingOptions) -> np.ndarray:
