@@ -29,7 +29,7 @@ from planners.reading_gate import (
 ANGLES, RATES, FORCES = (ARM[name].start for name in ("angles", "rates", "forces"))
 
 
-# Elements of what `judge_rows` is told of the surroundings: place and direction of the believed box [m]; how far a pad's
+# Elements of the surroundings in `judge_rows`: place and direction of the believed box [m]; how far a pad's
 # centre may be from the box's where they touch, along and across its direction [m]; greatest normal force [N]; control
 # period and patience [s].
 X, Y, COS, SIN, ALONG, ACROSS, FORCE, PERIOD, PATIENCE = range(9)
