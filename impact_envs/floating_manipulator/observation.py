@@ -130,13 +130,19 @@ def read_observations(scenario: FloatingManipulatorScenario, observations: Mappi
         observations: agent to its observation vector.
 
     Returns:
-        The measurement of this control step; psi and the box's heading lie in [-pi, pi].
+        The measurement of this control step; psi and the box's heading lie in [-pi, pi], NaN if what was read is no
+        direction.
     """
     vector, layout = next(iter(observations.values())), make_layout(scenario)
     x, y, cos, sin = vector[layout["base"]]
-    q = np.array([x, y, math.atan2(sin, cos), *vector[layout["joints"]]])
+    q = np.array([x, y, _read_heading(cos, sin), *vector[layout["joints"]]])
     v = np.concatenate([vector[layout["base_rates"]], vector[layout["joint_rates"]]])
     box_x, box_y, box_vx, box_vy, box_cos, box_sin, omega = vector[layout["box"]]
-    box = np.array([box_x, box_y, math.atan2(box_sin, box_cos), box_vx, box_vy, omega])
+    box = np.array([box_x, box_y, _read_heading(box_cos, box_sin), box_vx, box_vy, omega])
     (contact,), (fraction,) = vector[layout["contact"]], vector[layout["time"]]
-    return Measurement(float(fraction) * scenario.horizon, q, v, bool(contact > 0.5), box)
+    return Measurement(float(fraction) * scenario.horizon, q, v, bool(0.5 < contact < 1.5), box)
+
+
+def _read_heading(cos: float, sin: float) -> float:
+    """Return the angle of a direction; NaN if cos^2 + sin^2 is not about 1 [rad]."""
+    return math.atan2(sin, cos) if abs(cos * cos + sin * sin - 1.0) <= 0.5 else math.nan

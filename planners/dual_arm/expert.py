@@ -14,6 +14,7 @@ from impact_envs.rollout import Diagnostics
 from planners.correction import check_correction
 from planners.dual_arm.impact_prediction import load_impact_map
 from planners.dual_arm.options import Options, get_options
+from planners.dual_arm.readings import Readings
 from planners.dual_arm.reference_spreading import ReferenceSpreading
 
 
@@ -46,6 +47,8 @@ class DualArmExpert:
         self._scenario = scenario.as_believed()
         impact_map = load_impact_map(self._scenario, options) if options.controller.impact_map else None
         self.controller = ReferenceSpreading(self._scenario, impact_map, options.controller, options.solver)
+        speed = math.hypot(*options.controller.impact_velocity)
+        self._readings = Readings(self._scenario, speed, options.readings)
         self._limits = np.array([scenario.links.torque_limits] * 2, dtype=float)
         self._target = self._scenario.target.array
         self._first, self._every = (
@@ -62,6 +65,7 @@ class DualArmExpert:
             seed: unused, the expert is deterministic.
         """
         self.controller.reset()
+        self._readings.reset()
         self._diagnostics = Diagnostics()
         self._rows = np.zeros((2, ARM.size))
         self._seconds = 0.0
@@ -76,7 +80,7 @@ class DualArmExpert:
 
     def diagnostics(self) -> Diagnostics:
         """Return computing times and fallbacks since reset."""
-        self._diagnostics.fallbacks = self.controller.fallbacks.copy()
+        self._diagnostics.fallbacks = self.controller.fallbacks + self._readings.counts
         return self._diagnostics
 
     def observe(self, observations: Mapping[str, np.ndarray]) -> None:
@@ -88,7 +92,8 @@ class DualArmExpert:
             observations: arm to its observation.
         """
         begin = time.perf_counter()
-        self._rows = np.array([observations[name][: ARM.size] for name in self._scenario.arms])
+        self._rows = np.array([observations[name][: ARM.size] for name in self._scenario.arms], dtype=float)
+        self._readings.check(self._rows, self.controller.solution)
         ticks = self.controller.ticks_of_grasp
         self._awaiting = ticks >= self._first and (ticks - self._first) % self._every == 0
         if self._awaiting:

@@ -126,18 +126,37 @@ class CorrectionOptions(NamedTuple):
     lag_time: Positive = 0.05
 
 
+class ReadingOptions(NamedTuple):
+    """Which readings are believed, see `readings`.
+
+    Attributes:
+        angle, rate: margins of a joint's angle and rate [rad], [rad/s].
+        force: greatest normal force at a pad's corner; four times what the formula allows [N].
+        near: from a pad to the believed box, within which they may touch; the box is not measured [m].
+        patience: after which readings that no motion explains, but that agree with each other, are taken up; longer
+            than a sensor is usually wrong, short beside the time to the impact [s].
+    """
+
+    angle: float = 0.05
+    rate: float = 0.5
+    force: float = 1e3
+    near: float = 0.1
+    patience: float = 0.05
+
+
 class Options(NamedTuple):
     """All options of the expert.
 
     Attributes:
         solver: of the quadratic programs, see `dense_qp.SOLVERS`.
-        controller, prediction, correction: of its parts.
+        controller, prediction, correction, readings: of its parts.
     """
 
     solver: str = "daqp"
     controller: ControllerOptions = ControllerOptions()
     prediction: PredictionOptions = PredictionOptions()
     correction: CorrectionOptions = CorrectionOptions()
+    readings: ReadingOptions = ReadingOptions()
 
 
 EXPERT = Options()

@@ -103,6 +103,7 @@ class ReferenceSpreading:
 
     Attributes:
         phase: "ante", "interim" or "post".
+        solution: of the program that gave the last torques; zeros where they are held.
         fallbacks: how often the slack form or the last torques were used.
         switches: phase to the time it began [s].
         qp: the quadratic program solved last, for inspection.
@@ -145,7 +146,7 @@ class ReferenceSpreading:
         self.qp: TorqueQP = self._free
         self.box, self.predicted = np.zeros(6), np.zeros(3)
         self._count = self._held = self._switched = 0
-        self._last = np.zeros((2, 3))
+        self._last, self.solution = np.zeros((2, 3)), np.zeros(FREE[0])
         self._offset = np.zeros((2, 3))
         self._heights: np.ndarray | None = None
         self._integrated = np.zeros((2, 3))
@@ -272,13 +273,19 @@ class ReferenceSpreading:
         """Solve a program; if that fails, solve its slack form; if that fails too, hold the last torques."""
         self.qp = qp
         with suppress(PlanningError):
-            return self._solve(qp)[:QDD].reshape(2, 3)
+            return self._take_torques(self._solve(qp))
         if qp is self._grasp:
             with suppress(PlanningError):
                 x = self._solve(relax_contacts(qp, self.options.w_slack))
                 self.fallbacks["slack"] += 1
-                return x[:QDD].reshape(2, 3)
+                return self._take_torques(x)
+        self.solution = np.zeros(FREE[0])
         return self._hold_torques()
+
+    def _take_torques(self, x: np.ndarray) -> np.ndarray:
+        """Return the torques of a program's solution, and remember it."""
+        self.solution = x
+        return x[:QDD].reshape(2, 3)
 
     def _hold_torques(self) -> np.ndarray:
         """Return the last torques, and count the fallback."""

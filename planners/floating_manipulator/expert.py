@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -25,6 +26,7 @@ from planners.floating_manipulator.correction import (
 from planners.floating_manipulator.options import Options, get_options
 from planners.floating_manipulator.output_regulator import OutputRegulator
 from planners.floating_manipulator.pulses import Thrusters
+from planners.floating_manipulator.readings import Readings
 
 Phase = Literal["before", "pause", "after"]
 
@@ -70,6 +72,7 @@ class FloatingManipulatorExpert:
         self._regulator = OutputRegulator(self._chain, scenario.arm.goal, options.regulator)
         self._compensated = options.compensated and "base" in scenario.agents
         self._thrusters = self._make_thrusters() if self._compensated else None
+        self._readings = Readings(self._scenario, options.readings)
         self._n, self._limits = len(scenario.links), scenario.largest_commands
         self.correction_size, self.feature_size = get_correction_size(scenario), get_feature_size(scenario)
         self.reset(0)
@@ -84,6 +87,8 @@ class FloatingManipulatorExpert:
         """
         self.phase: Phase = "before"
         self._diagnostics = Diagnostics()
+        self._readings.reset()
+        self._commanded: dict[str, np.ndarray] | None = None
         self._regulator.reset()
         self._momenta = np.zeros(3)
         self._resume = 0.0
@@ -100,7 +105,8 @@ class FloatingManipulatorExpert:
 
     def diagnostics(self) -> Diagnostics:
         """Return computing times and fallbacks since reset."""
-        return self._diagnostics
+        counts = self._diagnostics.fallbacks + self._readings.counts
+        return replace(self._diagnostics, fallbacks=counts)
 
     def observe(self, observations: Mapping[str, np.ndarray]) -> None:
         """Read this control step's measurements, and decide on the phase and whether a correction is awaited.
@@ -108,7 +114,8 @@ class FloatingManipulatorExpert:
         Args:
             observations: each agent's observation.
         """
-        self.take_measurement(read_observations(self._scenario, observations))
+        measurement = read_observations(self._scenario, observations)
+        self.take_measurement(self._readings.check(measurement, self._commanded))
 
     def take_measurement(self, measurement: Measurement) -> None:
         """Update the phase and whether a correction is awaited, as `observe` does, from a measurement."""
@@ -171,7 +178,8 @@ class FloatingManipulatorExpert:
             self._awaiting, self._due = False, self._measurement.time + self.options.correction.period
         controls = self._recover() if self.phase == "pause" else self._regulate()
         self._diagnostics.solve_seconds.append(self._seconds + time.perf_counter() - begin)
-        return {agent: controls[agent] for agent in self._scenario.agents}
+        self._commanded = {agent: controls[agent] for agent in self._scenario.agents}
+        return self._commanded
 
     def _warm_up(self) -> None:
         """Run every compiled function once, so that no control step waits for the compiler."""

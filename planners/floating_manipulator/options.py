@@ -80,12 +80,31 @@ class CorrectionOptions(NamedTuple):
     log_range: float = 2.0
 
 
+class ReadingOptions(NamedTuple):
+    """Which readings are believed, see `readings`; the margins are twenty times the noise of the suites.
+
+    Attributes:
+        place, speed: margins of places and their rates, per length of the arm [-], [1/s].
+        angle, rate: margins of angles and their rates [rad], [rad/s].
+        patience: after which readings that no motion explains, but that agree with each other, are taken up; longer
+            than a sensor is usually wrong, and as long as the model predicts well [s].
+        clock_steps: control periods by which the clock may go forward from one reading to the next, at most.
+    """
+
+    place: float = 0.02
+    speed: float = 0.05
+    angle: float = 0.1
+    rate: float = 0.3
+    patience: float = 0.5
+    clock_steps: float = 10.5
+
+
 class Options(NamedTuple):
     """All options of the expert.
 
     Attributes:
         compensated: add the compensation where the base is actuated; otherwise the paper's law everywhere.
-        regulator, compensation, recovery, correction: of its parts.
+        regulator, compensation, recovery, correction, readings: of its parts.
     """
 
     compensated: bool = True
@@ -93,6 +112,7 @@ class Options(NamedTuple):
     compensation: CompensationOptions = CompensationOptions()
     recovery: RecoveryOptions = RecoveryOptions()
     correction: CorrectionOptions = CorrectionOptions()
+    readings: ReadingOptions = ReadingOptions()
 
 
 EXPERT = Options()

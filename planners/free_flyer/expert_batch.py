@@ -12,12 +12,12 @@ from impact_envs.compiled import announce
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import make_joint_layout
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from impact_envs.free_flyer.sensing import TIME, find_shared_place
+from impact_envs.free_flyer.sensing import COS, SIN, TIME, find_shared_place
 from planners.free_flyer.belief.options import Options, get_options, make_record
 from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
-from planners.free_flyer.closed_loop.world_loop import ACT, ADOPT, run_experts
+from planners.free_flyer.closed_loop.world_loop import ACT, ADOPT, START, run_experts
 from planners.free_flyer.expert import check_plan
 from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
@@ -28,6 +28,8 @@ from planners.plan import Plan
 
 class FreeFlyerExpertBatch:
     """The expert of N worlds; world k acts as FreeFlyerExpert does, and starts anew with an observation of time 0.
+
+    One of zeros alone is no observation.
 
     Args:
         scenario: its true physics are not looked at.
@@ -70,6 +72,7 @@ class FreeFlyerExpertBatch:
         self._plan_anew = chosen.plan_anew
         self._arrays = tuple(self.memory), make_record(chosen), tuple(workspace), tuple(qp)
         self._due = np.full(count, NO_OBJECT)
+        self._run(self._table, np.zeros((count, self.size)), np.zeros((count, self.robots, 3)), START, 0, 0, count)
         self._pool: ThreadPoolExecutor | None = None
 
     @property
@@ -93,7 +96,7 @@ class FreeFlyerExpertBatch:
         if joint.shape != (self.count, self.size):
             raise InputError(f"observations have shape {joint.shape}; ({self.count}, {self.size}) is needed")
         actions = np.empty((self.count, self.robots, 3))
-        for k in np.flatnonzero(joint[:, self._clock] == 0.0).tolist():  # starts anew
+        for k in np.flatnonzero((joint[:, self._clock] == 0.0) & joint[:, [COS, SIN]].any(axis=1)).tolist():  # starts
             self._own.pop(k, None)
             self._background.forget_world(k)
             self.memory.wanted[k] = np.inf

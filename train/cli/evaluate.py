@@ -32,6 +32,10 @@ class Command:
     """Values to change, for example true.restitution=0.5 expert.NAME=VALUE."""
     plan: Path | None = None
     """Let the experts follow this plan: a JSON file, or a folder of published CSV files."""
+    rename: tuple[str, ...] = ()
+    """Names of bodies in a published plan, each PLAN=SCENARIO."""
+    force: bool = False
+    """Fly a plan whatever it breaks."""
     objective: Literal["robustness", "impact_uncertainty"] | None = None
     """Without --plan: what the experts' plans maximise; robustness without."""
     workers: int = 1
@@ -48,7 +52,8 @@ class Command:
         cases = make_cases(self.scenarios, self.suite, settings)
         if self.plan is not None:
             self._check_plan()
-            cases = [replace(case, plan=load_plan(self.plan, case.scenario)) for case in cases]
+            plan = load_plan(self.plan, cases[0].scenario, self.rename).admit(self.force)
+            cases = [replace(case, plan=plan) for case in cases]
         elif self.objective is not None:
             cases = [replace(case, objective=self.objective) for case in cases]
         result = evaluate_cases(

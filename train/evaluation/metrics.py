@@ -146,6 +146,7 @@ METRICS = (
                 lambda row: str(row["failures"]), detail=True,
             ),
         ),
+        kind=str,
     ),
     *(
         Metric(f"solve_ms_{name}", "ms", partial(_compute_solve_quantile, name=name))

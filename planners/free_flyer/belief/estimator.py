@@ -11,11 +11,19 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled
-from impact_envs.free_flyer.sensing import BODY_SIZE, COS, OMEGA, SIN, VX, VY, X, Y, find_contact_place
+from impact_envs.free_flyer.sensing import BODY_SIZE, OMEGA, VX, VY, X, Y, find_contact_place
 from impact_envs.physics.impact import compute_velocity_gain
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain, get_pair, learn_velocity_error
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
+from planners.free_flyer.belief.readings import (
+    MISSING,
+    REJECTED,
+    SURPRISING,
+    is_speed_possible,
+    judge_reading,
+    open_tracks,
+)
 from planners.free_flyer.belief.world_memory import BLANK_FILTER, NOBODY, UNKNOWN, WorldMemory
 
 
@@ -118,6 +126,7 @@ def open_filters(plan: PlanTable, memory: WorldMemory, options: Options, k: int)
         if options.drift and i >= plan.robots and body.keep_force == 0.0:
             z.P_aa = options.estimation.drift * options.estimation.drift
         memory.heading[k, i].angle, memory.heading[k, i].rate = body.heading, body.start_rate
+    open_tracks(plan, memory, k)
     sensor = memory.sensor[k]
     sensor.sigma, sensor.weight, sensor.square, sensor.samples = options.estimation.position_prior, 0.0, 0.0, 0
 
@@ -129,7 +138,7 @@ def update_estimates(
     """Update world k's estimates by one sample: predict, apply felt impacts, correct by what was measured.
 
     The noise of positions is learned from the objects: between contacts their acceleration is constant, so the third
-    difference of their positions is pure noise of variance 20 sigma^2. Measurements that are not finite are skipped.
+    difference of their positions is pure noise of variance 20 sigma^2. What no motion explains is left out: `readings`.
 
     Args:
         memory: of all worlds; `touch` says afterwards who was hit.
@@ -149,13 +158,19 @@ def update_estimates(
             else options.estimation.flight
         )
         predict_state(memory.filter[k, i], ux, uy, h, unmodelled)
+        if now <= memory.track[k, i].doubted:
+            predict_state(memory.track[k, i].old, ux, uy, h, unmodelled)
+        heading, spin = memory.heading[k, i], memory.spin[k, i] if i < r else 0.0
+        heading.angle += h * (heading.rate + h / 2 * spin)
+        heading.rate += h * spin
     calm = True
     for i in range(r):
         memory.touch[k, i] = NOBODY
-        if joint[k, find_contact_place(n, i)] > 0.5:
+        if 0.5 < joint[k, find_contact_place(n, i)] < 1.5:
             calm = False
             other = find_nearest(plan, memory, options, k, i)
             memory.touch[k, i] = other
+            memory.track[k, i].doubted = memory.track[k, i if other == UNKNOWN else other].doubted = -math.inf
             if other == UNKNOWN:
                 add_jump(
                     memory.filter[k, i],
@@ -172,31 +187,32 @@ def update_estimates(
     for i in range(n):
         z, at = memory.filter[k, i], BODY_SIZE * i
         miss = math.hypot(joint[k, at + X] - z.position[0], joint[k, at + Y] - z.position[1])
-        if (
-            math.isfinite(miss)
-            and miss > options.estimation.surprise * math.sqrt(z.P_pp + variance) + options.estimation.surprise_floor
-        ):
+        use = judge_reading(plan, memory, options, k, i, joint, miss)
+        memory.track[k, i].use = use
+        if use == SURPRISING:
             add_jump(z, 0.0, 0.0, 0.0, 0.0, miss, miss / plan.period)
-            calm = False
+        calm = calm and use != SURPRISING and use != REJECTED
     learn_noise(memory, options, k, joint, r, calm)
     variance = memory.sensor[k].sigma * memory.sensor[k].sigma
     slow = options.estimation.velocity_ratio / plan.period
     for i in range(n):
-        z, at, total = memory.filter[k, i], BODY_SIZE * i, 0.0
-        for j in range(BODY_SIZE):
-            total += joint[k, at + j]
-        if not math.isfinite(total):
-            memory.counts[k].no_measurement += 1
+        z, at, use = memory.filter[k, i], BODY_SIZE * i, memory.track[k, i].use
+        if use in (MISSING, REJECTED):
             continue
-        if calm:
-            dx, dy = joint[k, at + VX] - z.velocity[0], joint[k, at + VY] - z.velocity[1]
-            learn_velocity_error(memory, options, k, i, dx * dx + dy * dy, slow * slow * variance)
+        dx, dy = joint[k, at + VX] - z.velocity[0], joint[k, at + VY] - z.velocity[1]
+        square = dx * dx + dy * dy
+        is_speed = is_speed_possible(plan, memory, options, k, i, square)
+        if calm and is_speed:
+            learn_velocity_error(memory, options, k, i, square, slow * slow * variance)
         correct_position(z, joint[k, at + X], joint[k, at + Y], variance)
-        correct_velocity(z, joint[k, at + VX], joint[k, at + VY], slow * slow * variance)
-        # The measured angle is only known up to whole turns.
-        turn = math.atan2(joint[k, at + SIN], joint[k, at + COS]) - plan.body[i].heading
-        turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
-        memory.heading[k, i].angle, memory.heading[k, i].rate = plan.body[i].heading + turn, joint[k, at + OMEGA]
+        if is_speed:
+            correct_velocity(z, joint[k, at + VX], joint[k, at + VY], slow * slow * variance)
+        heading, rate = memory.heading[k, i], joint[k, at + OMEGA]
+        heading.angle = memory.track[k, i].angle
+        if abs(rate - heading.rate) <= plan.body[i].jump / plan.body[i].radius:
+            heading.rate = rate
+        else:
+            memory.counts[k].rejected += 1
 
 
 @compiled

@@ -35,6 +35,10 @@ class Estimation:
     # Beyond so many standard deviations, and so far, a position tells of an unseen event, such as a bounce off a wall.
     surprise: float = 6.0
     surprise_floor: float = 2e-3  # [m]
+    # Readings that no motion explains, but that agree with each other for so long, are taken up: longer than a sensor
+    # is usually wrong, and short beside the time between impacts [s].
+    patience: Positive = 3.0
+    clock_steps: Positive = 10.5  # control periods by which the clock may go on from one reading to the next
     position_prior: Positive = 5e-3  # standard deviation of measured positions until it is estimated [m]
     position_floor: float = 1e-7  # of measured positions, at least [m]
     # Of measured velocities over that of positions per control period; a velocity that comes from differences of noisy

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.schema import Body, FreeFlyerScenario
 from planners.free_flyer.specification.central_hit import find_central_hits
 from planners.free_flyer.specification.impact_demand import Knot, find_knots, find_own_faces
 from planners.free_flyer.tracking.course import convert_curve
@@ -29,6 +30,7 @@ BODY = np.dtype(
         ("speed_limit", float),  # per axis [m/s]
         ("spread", float),  # greatest half width of the box it may start in [m]
         ("keep_force", float),  # by which an object keeps its velocity [N]
+        ("jump", float),  # most that an impact changes its velocity at the speed limits [m/s]
     ]
 )
 IMPACT = np.dtype(
@@ -86,6 +88,7 @@ class PlanTable(NamedTuple):
         own: HALF_PLANE that a robot may not leave, filled up by 0 . p <= 1, shape (r, g).
         breaks: breakpoints of the robots' curves, filled up by inf, shape (r, S + 1) [s].
         coefficients: of their segments in power basis, shape (r, S, d + 1, 2) [m].
+        walls: of the world: least x, least y, greatest x, greatest y, shape (4,) [m].
         side: SIDE of each object that is no disc, shape (objects, d).
         pilot: of each robot's tracking problem, shape (r, 52).
         last: of each object, how long the plan lets it fly after its last impact if the plan says how much it may be
@@ -104,6 +107,7 @@ class PlanTable(NamedTuple):
     own: np.ndarray
     breaks: np.ndarray
     coefficients: np.ndarray
+    walls: np.ndarray
     side: np.ndarray
     pilot: np.ndarray
     last: np.ndarray
@@ -140,6 +144,7 @@ def make_plan_table(
         _make_own_faces(scenario),
         begin + breaks,
         coefficients,
+        np.array([*scenario.world.lower, *scenario.world.upper], dtype=float),
         _make_sides(scenario),
         np.array(
             [build_tracking_problem(robot, scenario.control_period, weights).row for robot in scenario.robots.values()]
@@ -157,7 +162,16 @@ def _make_bodies(scenario: FreeFlyerScenario) -> np.ndarray:
         row["mass"], row["radius"], row["speed_limit"] = body.mass, body.radius, body.speed_limit
         row["spread"] = max(getattr(body, "start_uncertainty", (0.0, 0.0)))
         row["keep_force"] = getattr(body, "keep_force", 0.0)
+        row["jump"] = max(_bound_jump(body, other) for other in (None, *bodies) if other is not body)
     return table
+
+
+def _bound_jump(body: Body, other: Body | None) -> float:
+    """Return the most that an elastic impact, with a body or a wall, changes a velocity, 2 m_eff v_rel / m [m/s]."""
+    speed = math.sqrt(2.0) * body.speed_limit
+    if other is None:
+        return 2.0 * speed
+    return 2.0 * other.mass / (body.mass + other.mass) * (speed + math.sqrt(2.0) * other.speed_limit)
 
 
 def _make_impacts(scenario: FreeFlyerScenario, plan: Plan, begin: float) -> tuple[np.ndarray, np.ndarray, list[Knot]]:

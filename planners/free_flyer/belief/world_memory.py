@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.free_flyer.sensing import BODY_SIZE
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.tracking.course import COURSE
 from planners.free_flyer.tracking.mpc import STAGES
@@ -38,6 +39,20 @@ HEADING = np.dtype(
         ("angle", float),  # [rad]
         ("rate", float),  # [rad/s]
     ]
+)
+# The last reading of one body, see `readings`.
+TRACK = np.dtype(
+    [
+        ("reading", float, BODY_SIZE),  # as it stood in the observation
+        ("time", float),  # when anything new was read last, before 0: never [s]
+        ("since", float),  # since when readings are impossible but agree with each other; inf if they do not [s]
+        ("angle", float),  # that it has, nearest to the heading at the start [rad]
+        ("changes", bool),  # whether a reading was ever not the one before it; sensors with a delay repeat the first
+        ("use", int),  # what is done with the last one: `readings.MISSING` ... `EXPECTED`
+        ("doubted", float),  # until when `old` is kept, -inf if it is not [s]
+        ("old", FILTER),  # the estimate as if there had been no surprise
+    ],
+    align=True,
 )
 # What is learned of the noise of measured positions.
 SENSOR = np.dtype(
@@ -136,6 +151,8 @@ COUNTERS = (
     "stranded",
     "planned_anew",
     "no_plan",
+    "rejected",
+    "taken_up",
 )
 COUNTS = np.dtype([(name, np.int64) for name in COUNTERS])
 # Assigning one of these clears a record.
@@ -154,8 +171,10 @@ class WorldMemory(NamedTuple):
         filter: FILTER of every body, shape (N, n).
         heading: HEADING of every body, shape (N, n).
         recent: the last three measured positions of the objects, oldest first, shape (N, m, 3, 2) [m].
+        track: TRACK of every body, shape (N, n).
         sensor: SENSOR, shape (N,).
         push: commanded acceleration of the robots since the last measurement, shape (N, r, 2) [m/s^2].
+        spin: commanded angular acceleration of the robots since then, shape (N, r) [rad/s^2].
         touch: body that each robot touched, UNKNOWN or NOBODY, shape (N, r).
         course: COURSE of every robot, shape (N, r).
         strike: STRIKE of every object, shape (N, m).
@@ -179,8 +198,10 @@ class WorldMemory(NamedTuple):
     filter: np.ndarray
     heading: np.ndarray
     recent: np.ndarray
+    track: np.ndarray
     sensor: np.ndarray
     push: np.ndarray
+    spin: np.ndarray
     touch: np.ndarray
     course: np.ndarray
     strike: np.ndarray
@@ -213,8 +234,10 @@ def make_world_memory(plan: PlanTable, count: int) -> WorldMemory:
         filter=np.zeros((count, n), FILTER),
         heading=np.zeros((count, n), HEADING),
         recent=np.zeros((count, objects, 3, 2)),
+        track=np.zeros((count, n), TRACK),
         sensor=np.zeros(count, SENSOR),
         push=np.zeros((count, r, 2)),
+        spin=np.zeros((count, r)),
         touch=np.zeros((count, r), np.int64),
         course=np.zeros((count, r), COURSE),
         strike=np.zeros((count, objects), STRIKE),

@@ -104,6 +104,7 @@ def apply_solution(
     fx, fy = actions[k, r, 0] * pilot[INPUT_LIMIT], actions[k, r, 1] * pilot[INPUT_LIMIT + 1]
     memory.push[k, r, 0] = (cos * fx - sin * fy) * pilot[GAIN]
     memory.push[k, r, 1] = (sin * fx + cos * fy) * pilot[GAIN]
+    memory.spin[k, r] = actions[k, r, 2] * pilot[INPUT_LIMIT + 2] * pilot[GAIN + 2]
 
 
 @inlined

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
-from impact_envs.free_flyer.sensing import TIME, find_shared_place
 from planners.free_flyer.belief.estimator import open_filters, update_estimates
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
+from planners.free_flyer.belief.readings import is_start, read_clock
 from planners.free_flyer.belief.world_memory import (
     BLANK_COUNTS,
     BLANK_COURSE,
@@ -55,7 +55,7 @@ def start_world(plan: PlanTable, memory: WorldMemory, options: Options, k: int) 
     memory.wanted[k] = math.inf
     memory.counts[k] = BLANK_COUNTS
     for r in range(plan.robots):
-        memory.push[k, r, 0] = memory.push[k, r, 1] = 0.0
+        memory.push[k, r, 0] = memory.push[k, r, 1] = memory.spin[k, r] = 0.0
         memory.shifted[k, r].count = 0
         memory.course[k, r] = BLANK_COURSE
     set_clocks(plan, memory, options, k, 0.0)
@@ -82,9 +82,7 @@ def observe_world(
     Returns:
         The object whose coming impact's correction is due, or NO_OBJECT.
     """
-    now = joint[k, find_shared_place(len(plan.body), plan.robots) + TIME] * plan.horizon
-    if not math.isfinite(now):
-        now = memory.time[k] + plan.period
+    now = read_clock(plan, memory, options, k, joint)
     remember_before(plan, memory, k)
     update_estimates(plan, memory, options, k, joint, now)
     for r in range(plan.robots):
@@ -245,9 +243,8 @@ def run_experts(
     """
     plan_, memory_ = PlanTable(*plan), WorldMemory(*memory)
     options_, workspace_, qp_ = options[0], Workspace(*workspace), RestQP(*qp)
-    clock = find_shared_place(len(plan_.body), plan_.robots) + TIME
     for k in range(first, end):
-        if phase == START or (phase == ACT and joint[k, clock] == 0.0):
+        if phase == START or (phase == ACT and is_start(plan_, joint, k)):
             start_world(plan_, memory_, options_, k)
             due[k] = NO_OBJECT
         if phase == ADOPT:

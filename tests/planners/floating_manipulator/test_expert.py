@@ -12,10 +12,11 @@ import pytest
 import impact_envs
 from impact_envs.errors import InputError
 from impact_envs.floating_manipulator.model import FloatingManipulatorModel
-from impact_envs.floating_manipulator.observation import Measurement, observation_size
+from impact_envs.floating_manipulator.observation import Measurement, make_layout, observation_size
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from impact_envs.stl import Trace, parse, satisfied
 from planners import list_variants, make_expert
+from planners.floating_manipulator.correction import compute_tip
 from planners.floating_manipulator.expert import FloatingManipulatorExpert
 from planners.floating_manipulator.options import EXPERT
 from planners.options import replace_options
@@ -215,8 +216,11 @@ def test_same_episode_again_gives_the_same_motion_bit_for_bit():
 
 def test_actions_are_the_scaled_controls():
     scenario = load("floating_manipulator_thrusters")
-    measured = Measurement(2.0, scenario.start + 0.1, np.full(6, 0.05), False, np.zeros(6))
+    start = scenario.start + 0.05
+    x, y, *_ = compute_tip(scenario.chain(), start, np.zeros(6))
+    measured = Measurement(0.0, start, np.full(6, 0.05), False, np.array([x + 0.6, y, 0.0, 0.0, 0.0, 0.0]))
     vector = np.zeros(observation_size(scenario))
+    vector[make_layout(scenario)["box"]] = x + 0.6, y, 0.0, 0.0, 1.0, 0.0, 0.0  # near: a contact is possible
     q, v = measured.q, measured.v
     vector[:4] = q[0], q[1], math.cos(q[2]), math.sin(q[2])
     vector[4:10], vector[10:13] = [*q[3:], *v[:3]], v[3:]
