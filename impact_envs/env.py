@@ -12,12 +12,15 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from impact_envs.domain import find_part
+from impact_envs.errors import ResetNeeded, check_count
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.reward import compute_reward, compute_team_reward
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.shape import Shape
 from impact_envs.stl import Monitor
+from impact_envs.stl.verdict import compute_outcome, judge
+from impact_envs.stream import check_seed
 
 
 class Model(Protocol):
@@ -94,8 +97,14 @@ class ImpactEnv(ParallelEnv):
 
     Episode end: never ``terminated``; ``truncated`` at the scenario's horizon (or ``max_cycles``, if earlier).
 
-    ``infos[agent]`` carries ``robustness_lower``, ``robustness_upper``; at the end also ``robustness`` and ``success``
-    of the whole formula on the true signals (``robustness`` is the lower bound if max_cycles cut the horizon).
+    ``infos[agent]`` carries ``robustness_lower``, ``robustness_upper``, clipped to the world's diagonal; at the end
+    also ``robustness``, not clipped, and ``success`` of the whole formula on the true signals. ``success`` is whether
+    the formula holds: robustness above zero, or exactly zero where its predicates hold at equality (``in``, ``<=``,
+    ``>=``; not ``not in``, ``<``, ``>``). If max_cycles cut the horizon, they say what was certain by then: the lower
+    end of the interval, at least minus the diagonal.
+
+    Raises:
+        InputError: ``max_cycles`` is no whole number from 1.
     """
 
     metadata = {
@@ -109,6 +118,8 @@ class ImpactEnv(ParallelEnv):
         self.model, self.task, self.render_mode = model, task, render_mode
         self.scenario: Any = task.scenario
         self._last, self._limit = self.scenario.steps, self.scenario.world.diagonal  # computed at every access
+        if max_cycles is not None:
+            check_count("max_cycles", max_cycles)
         self.max_cycles = self._last if max_cycles is None else max_cycles
         self.possible_agents = list(self.scenario.agents)
         self.agents: list[str] = []
@@ -139,7 +150,12 @@ class ImpactEnv(ParallelEnv):
 
     @property
     def time(self) -> float:
-        """Return the time since reset [s]."""
+        """Return the time since reset [s].
+
+        Raises:
+            ResetNeeded: before the first reset.
+        """
+        self._check_started("time")
         return self.steps * self.scenario.control_period
 
     def reset(
@@ -153,9 +169,12 @@ class ImpactEnv(ParallelEnv):
 
         Returns:
             Observations and infos by agent.
+
+        Raises:
+            InputError: a seed that is no whole number from 0 to 2**63 - 1.
         """
         if seed is not None or self._rng is None:
-            self._rng, _ = seeding.np_random(seed)
+            self._rng, _ = seeding.np_random(None if seed is None else check_seed(seed))
         physics = self.scenario.draw(self._rng)
         self.model.reset(physics)
         self.steps, self.impacts, self.impulse = 0, [], 0.0
@@ -184,9 +203,14 @@ class ImpactEnv(ParallelEnv):
 
         Returns:
             Observations, rewards, terminations, truncations, infos by agent.
+
+        Raises:
+            ResetNeeded: before the first reset, or after the end of an episode.
+            InputError: an agent is missing or unknown, or its action is not its finite numbers; nothing was stepped.
         """
         if not self.agents:
-            return {}, {}, {}, {}, {}
+            self._check_started("step")
+            raise ResetNeeded("step after the end of the episode: call reset first")
         controls = self.task.controls(actions)
         self.impacts = self.model.step(controls)
         self.steps += 1
@@ -207,7 +231,12 @@ class ImpactEnv(ParallelEnv):
         return observations, rewards, dict.fromkeys(agents, False), dict.fromkeys(agents, over), infos
 
     def state(self) -> np.ndarray:
-        """Return the true state of all bodies, row after row, then time / horizon (for centralised critics)."""
+        """Return the true state of all bodies, row after row, then time / horizon (for centralised critics).
+
+        Raises:
+            ResetNeeded: before the first reset.
+        """
+        self._check_started("state")
         return np.append(self.model.state().ravel(), self.time / self.scenario.horizon)
 
     def render(self) -> np.ndarray | None:
@@ -215,7 +244,11 @@ class ImpactEnv(ParallelEnv):
 
         Returns:
             An image, shape (height, width, 3) uint8, in mode ``rgb_array``; None in mode ``human``.
+
+        Raises:
+            ResetNeeded: before the first reset.
         """
+        self._check_started("render")
         if self.render_mode is None:
             return None
         from impact_envs.render import Frame, Renderer
@@ -246,6 +279,10 @@ class ImpactEnv(ParallelEnv):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}
 
+    def _check_started(self, call: str) -> None:
+        if self._rng is None:
+            raise ResetNeeded(f"{call} before reset: call reset first")
+
     def _remember(self) -> None:
         if self.render_mode is not None:
             s = self.signals
@@ -261,7 +298,8 @@ class ImpactEnv(ParallelEnv):
     def _infos(self, over: bool = False) -> dict[str, dict[str, Any]]:
         info: dict[str, Any] = {"robustness_lower": self.bounds[0], "robustness_upper": self.bounds[1]}
         if over:
-            info |= {"robustness": self.bounds[0], "success": self.monitor.verdict is True}
+            robustness, success = judge(compute_outcome(*self.monitor.ends, self._limit))
+            info |= {"robustness": robustness, "success": success}
         return {agent: dict(info) for agent in self.agents}
 
 
@@ -280,6 +318,7 @@ def parallel_env(
 
     Raises:
         ScenarioError: the scenario cannot be read.
+        InputError: ``max_cycles`` is no whole number from 1.
     """
     loaded = load_scenario(scenario)
     make_model, make_task = (find_part("impact_envs", loaded.domain, name) for name in ("MODEL", "TASK"))

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
+
+import gymnasium.error
+import numpy as np
 
 
 class InputError(ValueError):
     """Bad input from the user (file, formula, argument, checkpoint); the command line exits with 2."""
+
+
+class ResetNeeded(InputError, gymnasium.error.ResetNeeded):
+    """A call out of order, before the first reset or after an episode's end; Gymnasium's error of that name too."""
 
 
 class ScenarioError(InputError):
@@ -16,6 +24,16 @@ class ScenarioError(InputError):
 
 class FormulaError(InputError):
     """An STL formula that cannot be parsed, or does not fit the scenario or the trace."""
+
+
+def check_count(name: str, number: Any) -> None:
+    """Raise unless a number counts something that there must be.
+
+    Raises:
+        InputError: no whole number, or less than 1.
+    """
+    if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
+        raise InputError(f"{name} = {number!r}: a whole number from 1 is needed")
 
 
 def choices(wrong: str, known: Iterable[str]) -> str:

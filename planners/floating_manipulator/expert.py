@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -25,6 +26,7 @@ from planners.floating_manipulator.correction import (
 from planners.floating_manipulator.options import Options, get_options
 from planners.floating_manipulator.output_regulator import OutputRegulator
 from planners.floating_manipulator.pulses import Thrusters
+from planners.measurement import is_measurement
 
 Phase = Literal["before", "pause", "after"]
 
@@ -105,10 +107,20 @@ class FloatingManipulatorExpert:
     def observe(self, observations: Mapping[str, np.ndarray]) -> None:
         """Read this control step's measurements, and decide on the phase and whether a correction is awaited.
 
+        The last measurement stands for one that is none (`measurement.py`), which is counted.
+
         Args:
             observations: each agent's observation.
+
+        Raises:
+            InputError: an agent is missing or unknown, or an observation has another shape.
         """
-        self.take_measurement(read_observations(self._scenario, observations))
+        measured = read_observations(self._scenario, observations)
+        if not is_measurement((measured.time, *measured.q.tolist(), *measured.v.tolist(), *measured.box.tolist())):
+            self._diagnostics.fallbacks["no_measurement"] += 1
+            time = self._measurement.time + self._scenario.control_period
+            measured = replace(self._measurement, time=time, contact=measured.contact)
+        self.take_measurement(measured)
 
     def take_measurement(self, measurement: Measurement) -> None:
         """Update the phase and whether a correction is awaited, as `observe` does, from a measurement."""
@@ -153,11 +165,14 @@ class FloatingManipulatorExpert:
         return compute_features(self._scenario, self._chain, *known)
 
     def control(self) -> dict[str, np.ndarray]:
-        """Return each agent's action in [-1, 1]."""
-        return {
-            agent: np.minimum(np.maximum(control / self._limits[agent], -1.0), 1.0)
-            for agent, control in self.compute_controls().items()
-        }
+        """Return each agent's action in [-1, 1]; none, which is counted, where a control is no number."""
+        actions = {}
+        for agent, control in self.compute_controls().items():
+            if np.isnan(control).any():
+                control = np.zeros_like(control)
+                self._diagnostics.fallbacks["no_action"] += 1
+            actions[agent] = np.minimum(np.maximum(control / self._limits[agent], -1.0), 1.0)
+        return actions
 
     def compute_controls(self) -> dict[str, np.ndarray]:
         """Compute the controls of one step.

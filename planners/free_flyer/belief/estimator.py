@@ -17,6 +17,7 @@ from planners.free_flyer.belief.impact_parameters import compute_pair_gain, get_
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.world_memory import BLANK_FILTER, NOBODY, UNKNOWN, WorldMemory
+from planners.measurement import LARGEST
 
 
 @compiled
@@ -129,7 +130,7 @@ def update_estimates(
     """Update world k's estimates by one sample: predict, apply felt impacts, correct by what was measured.
 
     The noise of positions is learned from the objects: between contacts their acceleration is constant, so the third
-    difference of their positions is pure noise of variance 20 sigma^2. Measurements that are not finite are skipped.
+    difference of their positions is pure noise of variance 20 sigma^2. Measurements that are none (`measurement.py`) are skipped.
 
     Args:
         memory: of all worlds; `touch` says afterwards who was hit.
@@ -173,7 +174,7 @@ def update_estimates(
         z, at = memory.filter[k, i], BODY_SIZE * i
         miss = math.hypot(joint[k, at + X] - z.position[0], joint[k, at + Y] - z.position[1])
         if (
-            math.isfinite(miss)
+            miss < LARGEST
             and miss > options.estimation.surprise * math.sqrt(z.P_pp + variance) + options.estimation.surprise_floor
         ):
             add_jump(z, 0.0, 0.0, 0.0, 0.0, miss, miss / plan.period)
@@ -184,8 +185,8 @@ def update_estimates(
     for i in range(n):
         z, at, total = memory.filter[k, i], BODY_SIZE * i, 0.0
         for j in range(BODY_SIZE):
-            total += joint[k, at + j]
-        if not math.isfinite(total):
+            total += abs(joint[k, at + j])
+        if not total < LARGEST:
             memory.counts[k].no_measurement += 1
             continue
         if calm:
@@ -256,7 +257,7 @@ def learn_noise(memory: WorldMemory, options: Options, k: int, joint: np.ndarray
             dx = x - 3.0 * recent[2, 0] + 3.0 * recent[1, 0] - recent[0, 0]
             dy = y - 3.0 * recent[2, 1] + 3.0 * recent[1, 1] - recent[0, 1]
             square = dx * dx + dy * dy
-            if math.isfinite(square):
+            if square < LARGEST * LARGEST:
                 keep = 1.0 - 1.0 / options.estimation.noise_memory
                 sensor.weight = keep * sensor.weight + 1.0
                 sensor.square = keep * sensor.square + square / 40.0

@@ -136,6 +136,7 @@ COUNTERS = (
     "stranded",
     "planned_anew",
     "no_plan",
+    "no_action",
 )
 COUNTS = np.dtype([(name, np.int64) for name in COUNTERS])
 # Assigning one of these clears a record.

@@ -40,6 +40,7 @@ from planners.free_flyer.next_impact.replanner import replan_course
 from planners.free_flyer.next_impact.rest_qp import RestQP
 from planners.free_flyer.next_impact.retiming import retime_impact
 from planners.free_flyer.tracking.mpc import Workspace
+from planners.measurement import LARGEST
 
 # What to do with the worlds.
 START, OBSERVE, CONTROL, ACT, ADOPT, PREPARE, APPLY = range(7)
@@ -83,7 +84,7 @@ def observe_world(
         The object whose coming impact's correction is due, or NO_OBJECT.
     """
     now = joint[k, find_shared_place(len(plan.body), plan.robots) + TIME] * plan.horizon
-    if not math.isfinite(now):
+    if not abs(now) < LARGEST:
         now = memory.time[k] + plan.period
     remember_before(plan, memory, k)
     update_estimates(plan, memory, options, k, joint, now)
