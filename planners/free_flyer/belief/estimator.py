@@ -130,7 +130,8 @@ def update_estimates(
     """Update world k's estimates by one sample: predict, apply felt impacts, correct by what was measured.
 
     The noise of positions is learned from the objects: between contacts their acceleration is constant, so the third
-    difference of their positions is pure noise of variance 20 sigma^2. Measurements that are none (`measurement.py`) are skipped.
+    difference of their positions is pure noise of variance 20 sigma^2. Measurements that are none
+    (`measurement.py`) are skipped.
 
     Args:
         memory: of all worlds; `touch` says afterwards who was hit.
