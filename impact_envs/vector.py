@@ -223,7 +223,8 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             return None
         from impact_envs.render import Frame, Renderer
 
-        scenario, batch = self.scenario, self.batch
+        scenario: Any = self.scenario
+        batch = self.batch
         if self._renderer is None:
             shapes = find_part("impact_envs", scenario.domain, "TASK")(scenario).shapes()
             self._renderer = Renderer(scenario.world.lower, scenario.world.upper, shapes, self.render_mode)
