@@ -23,13 +23,15 @@ def read_commands(commands: Mapping[str, Any], robots: Mapping[str, Any], limits
     Raises:
         InputError: a robot without command, an unknown robot, or a command that is not three finite numbers.
     """
-    check_agents(commands, robots, what)
+    if not isinstance(commands, dict) or commands.keys() != robots.keys():
+        check_agents(commands, robots, what)
     try:
         rows = np.array([commands[name] for name in robots])
     except (ValueError, TypeError):  # of different lengths
         rows = np.empty(0)
-    if rows.dtype.kind in REAL and rows.shape == limits.shape:
-        rows = rows.astype(float, copy=False)
+    if rows.shape == limits.shape and rows.dtype.kind in REAL:
+        if rows.dtype.char != "d":
+            rows = rows.astype(float)
         if clip(rows, limits):
             return rows
     needed = "three finite numbers Fx, Fy, tau"

@@ -117,7 +117,6 @@ class Monitor:
             raise InputError(f"sample: signal '{name}' is {value}; it must be finite")
         if self.count >= self._first:  # no sample before it changes anything
             pack_into(self._format, self._sample, 0, *values)
-            low, high, *ends = update_world(*self._compiled, self._memory, self.count, self._sample)
-            self.interval, self.ends = (low, high), (ends[0], ends[1])
+            self.interval, self.ends = update_world(*self._compiled, self._memory, self.count, self._sample)
         self.count += 1
         return self.interval

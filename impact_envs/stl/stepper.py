@@ -154,7 +154,7 @@ def update_world(
     memory: np.ndarray,
     count: int,
     sample: np.ndarray,
-) -> tuple[float, float, float, float]:
+) -> tuple[tuple[float, float], tuple[float, float]]:
     """``update_monitor`` of a single world, for Python, which hands over arrays faster than a NamedTuple of them.
 
     Returns:
@@ -162,4 +162,4 @@ def update_world(
     """
     formula = CompiledFormula(root, nodes, starts, code, columns, numbers, size)
     low, high = update_monitor(formula, memory, 0, count, sample)
-    return settle_tie(low), settle_tie(high), low, high
+    return (settle_tie(low), settle_tie(high)), (low, high)
