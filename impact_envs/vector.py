@@ -80,9 +80,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             raise InputError(f"render_mode '{render_mode}' is unknown; {choices(str(render_mode), RENDER_MODES)}")
         if max_episode_steps is not None:
             if max_cycles is not None:
-                raise InputError(
-                    f"max_cycles = {max_cycles}, max_episode_steps = {max_episode_steps}: give one of them"
-                )
+                raise InputError(f"max_cycles = {max_cycles}, max_episode_steps = {max_episode_steps}: give only one")
             check_count("max_episode_steps", max_episode_steps)
             max_cycles = max_episode_steps
         if dtype not in DTYPES:
