@@ -10,10 +10,12 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
+from impact_envs.agent_vectors import read_vector
 from impact_envs.env import parallel_env
-from impact_envs.errors import InputError
+from impact_envs.errors import InputError, ResetNeeded
 from impact_envs.rollout import Diagnostics, Policy
 from impact_envs.scenario import Scenario, load_scenario
+from impact_envs.stream import check_seed
 from planners import make_expert
 from planners.plan import Plan
 
@@ -108,6 +110,7 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.action_space = Box(-1.0, 1.0, (self.expert.correction_size,), np.float32)
         self.observation_space = Box(-np.inf, np.inf, (self.expert.feature_size,), np.float64)
         self._reward, self._steps, self._infos = 0.0, 0, dict[str, Any]()
+        self._ended: bool | None = None  # before the first reset
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -121,11 +124,12 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Returns:
             Features and info.
         """
+        seed = None if seed is None else check_seed(seed)
         super().reset(seed=seed)
         episode = int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed
         observations, _ = self.parallel.reset(seed=episode)
         self.expert.reset(episode)
-        self._reward, self._steps, self._infos = 0.0, 0, {"seed": episode}
+        self._reward, self._steps, self._infos, self._ended = 0.0, 0, {"seed": episode}, False
         self.expert.observe(observations)
         if not self.expert.awaiting_correction:
             self._run_to_request()
@@ -140,11 +144,20 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Returns:
             Features, reward, terminated, truncated, info. If no correction was ever awaited, the first step
             only returns the episode's reward.
+
+        Raises:
+            ResetNeeded: before the first reset, or after the end of an episode.
+            InputError: an action that is not its finite numbers; nothing was stepped.
         """
+        if self._ended is not False:
+            order = "before reset" if self._ended is None else "after the end of the episode"
+            raise ResetNeeded(f"step {order}: call reset first")
+        correction = read_vector(action, self.expert.correction_size, "action")
         if self.parallel.agents:
             self._steps = 0
-            self.expert.correct(np.clip(np.asarray(action, dtype=float), -1.0, 1.0))
+            self.expert.correct(np.clip(correction, -1.0, 1.0))
             self._run_to_request()
+        self._ended = not self.parallel.agents
         reward, self._reward = self._reward, 0.0
         info = self._infos | {"control_steps": self._steps}
         over, failed = not self.parallel.agents, self.parallel.failure is not None
@@ -194,6 +207,7 @@ class ResidualPolicy:
         name: str = "residual",
     ) -> None:
         self.name, self.expert, self.actor = name, expert, actor
+        self._unanswered = 0  # corrections that were no finite numbers, since reset
 
     @classmethod
     def load(
@@ -238,6 +252,7 @@ class ResidualPolicy:
     def reset(self, seed: int) -> None:
         """Forget the last episode."""
         self.expert.reset(seed)
+        self._unanswered = 0
 
     def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return the expert's actions, corrected where it asks.
@@ -250,9 +265,16 @@ class ResidualPolicy:
         """
         self.expert.observe(observations)
         if self.expert.awaiting_correction:
-            self.expert.correct(np.clip(self.actor(self.expert.features()), -1.0, 1.0))
+            correction = self.actor(self.expert.features())
+            if np.isfinite(correction).all():  # no answer counts as zero
+                self.expert.correct(np.clip(correction, -1.0, 1.0))
+            else:
+                self._unanswered += 1
         return self.expert.control()
 
     def diagnostics(self) -> Diagnostics:
-        """Return the expert's diagnostics."""
-        return self.expert.diagnostics()
+        """Return the expert's diagnostics, and as a fallback how many corrections were no finite numbers."""
+        found = self.expert.diagnostics()
+        if self._unanswered:
+            found.fallbacks["no_correction"] = self._unanswered
+        return found

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from impact_envs.errors import FormulaError, InputError, ScenarioError
+from impact_envs.errors import FormulaError, InputError, ResetNeeded, ScenarioError
 
 # Bound here, not lazily: the function shares its name with its module.
 from impact_envs.rollout import Diagnostics, Episode, Policy, rollout
@@ -30,6 +30,7 @@ __all__ = [
     "InputError",
     "JointEnv",
     "Policy",
+    "ResetNeeded",
     "Scenario",
     "ScenarioError",
     "gym_id",

@@ -12,7 +12,7 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from impact_envs.domain import find_part
-from impact_envs.errors import InputError
+from impact_envs.errors import InputError, ResetNeeded, check_count
 from impact_envs.failure import NotFinite, SimulationFailed, TooManyEvents, check_finite
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact, LastingContact
@@ -20,6 +20,8 @@ from impact_envs.reward import compute_reward, compute_team_reward
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.shape import Shape
 from impact_envs.stl import Monitor
+from impact_envs.stl.verdict import compute_outcome, judge
+from impact_envs.stream import check_seed
 
 
 class Model(Protocol):
@@ -103,8 +105,14 @@ class ImpactEnv(ParallelEnv):
     last sample, the robustness minus the world's diagonal, and ``failure`` of the infos says what happened.
 
     ``infos[agent]`` carries ``overflow`` (1 where impacts did not end within the control period),
-    ``robustness_lower``, ``robustness_upper``; at the end also ``robustness`` and ``success``
-    of the whole formula on the true signals (``robustness`` is the lower bound if max_cycles cut the horizon).
+    ``robustness_lower``, ``robustness_upper``, both clipped to the world's diagonal; at the end
+    also ``robustness``, not clipped, and ``success`` of the whole formula on the true signals. ``success`` is whether
+    the formula holds: robustness above zero, or exactly zero where its predicates hold at equality (``in``, ``<=``,
+    ``>=``; not ``not in``, ``<``, ``>``). If max_cycles cut the horizon, they say what was certain by then: the lower
+    end of the interval, at least minus the diagonal.
+
+    Raises:
+        InputError: ``max_cycles`` is no whole number from 1.
     """
 
     metadata = {
@@ -118,6 +126,8 @@ class ImpactEnv(ParallelEnv):
         self.model, self.task, self.render_mode = model, task, render_mode
         self.scenario: Any = task.scenario
         self._last, self._limit = self.scenario.steps, self.scenario.world.diagonal  # computed at every access
+        if max_cycles is not None:
+            check_count("max_cycles", max_cycles)
         self.max_cycles = self._last if max_cycles is None else max_cycles
         self.possible_agents = list(self.scenario.agents)
         self.agents: list[str] = []
@@ -150,7 +160,12 @@ class ImpactEnv(ParallelEnv):
 
     @property
     def time(self) -> float:
-        """Return the time since reset [s]."""
+        """Return the time since reset [s].
+
+        Raises:
+            ResetNeeded: before the first reset.
+        """
+        self._check_started("time")
         return self.steps * self.scenario.control_period
 
     def reset(
@@ -164,9 +179,12 @@ class ImpactEnv(ParallelEnv):
 
         Returns:
             Observations and infos by agent.
+
+        Raises:
+            InputError: a seed that is no whole number from 0 to 2**63 - 1.
         """
         if seed is not None or self._rng is None:
-            self._rng, _ = seeding.np_random(seed)
+            self._rng, _ = seeding.np_random(None if seed is None else check_seed(seed))
         physics = self.scenario.draw(self._rng)
         self.model.reset(physics)
         self.steps, self.impacts, self.lasting_contacts = 0, [], []
@@ -197,9 +215,14 @@ class ImpactEnv(ParallelEnv):
 
         Returns:
             Observations, rewards, terminations, truncations, infos by agent.
+
+        Raises:
+            ResetNeeded: before the first reset, or after the end of an episode.
+            InputError: an agent is missing or unknown, or its action is not its finite numbers; nothing was stepped.
         """
         if not self.agents:
-            return {}, {}, {}, {}, {}
+            self._check_started("step")
+            raise ResetNeeded("step after the end of the episode: call reset first")
         controls = self.task.controls(actions)
         before = self.bounds
         self._advance(controls)
@@ -224,7 +247,12 @@ class ImpactEnv(ParallelEnv):
         return observations, rewards, dict.fromkeys(agents, failed), dict.fromkeys(agents, over and not failed), infos
 
     def state(self) -> np.ndarray:
-        """Return the true state of all bodies, row after row, then time / horizon (for centralised critics)."""
+        """Return the true state of all bodies, row after row, then time / horizon (for centralised critics).
+
+        Raises:
+            ResetNeeded: before the first reset.
+        """
+        self._check_started("state")
         states = self.model.state() if self.failure is None else self._states
         return np.append(states.ravel(), self.time / self.scenario.horizon)
 
@@ -233,7 +261,11 @@ class ImpactEnv(ParallelEnv):
 
         Returns:
             An image, shape (height, width, 3) uint8, in mode ``rgb_array``; None in mode ``human``.
+
+        Raises:
+            ResetNeeded: before the first reset.
         """
+        self._check_started("render")
         if self.render_mode is None:
             return None
         from impact_envs.render import Frame, Renderer
@@ -263,6 +295,10 @@ class ImpactEnv(ParallelEnv):
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}
+
+    def _check_started(self, call: str) -> None:
+        if self._rng is None:
+            raise ResetNeeded(f"{call} before reset: call reset first")
 
     def _advance(self, controls: Mapping[str, np.ndarray]) -> None:
         """Move the world through one control period; where that fails, keep the last states and the failure."""
@@ -307,7 +343,8 @@ class ImpactEnv(ParallelEnv):
         info: dict[str, Any] = {"robustness_lower": self.bounds[0], "robustness_upper": self.bounds[1]}
         info["overflow"] = int(isinstance(self.failure, TooManyEvents))
         if over:
-            info |= {"robustness": self.bounds[0], "success": self.monitor.verdict is True}
+            robustness, success = judge(compute_outcome(*self.monitor.ends, self._limit))
+            info |= {"robustness": robustness, "success": success}
         if self.failure is not None:
             info |= {"robustness": -self._limit, "success": False, "failure": str(self.failure)}
         return {agent: dict(info) for agent in self.agents}
@@ -328,6 +365,7 @@ def parallel_env(
 
     Raises:
         ScenarioError: the scenario cannot be read.
+        InputError: ``max_cycles`` is no whole number from 1.
     """
     loaded = load_scenario(scenario)
     make_model, make_task = (find_part("impact_envs", loaded.domain, name) for name in ("MODEL", "TASK"))

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import gymnasium.error
+import numpy as np
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -24,12 +27,26 @@ class InputError(ValueError):
         super().__init__(line + "..." * (len(message) > LONGEST_MESSAGE))
 
 
+class ResetNeeded(InputError, gymnasium.error.ResetNeeded):
+    """A call out of order, before the first reset or after an episode's end; Gymnasium's error of that name too."""
+
+
 class ScenarioError(InputError):
     """A scenario file that cannot be read or does not make sense."""
 
 
 class FormulaError(InputError):
     """An STL formula that cannot be parsed, or does not fit the scenario or the trace."""
+
+
+def check_count(name: str, number: Any) -> None:
+    """Raise unless a number counts something that there must be.
+
+    Raises:
+        InputError: no whole number, or less than 1.
+    """
+    if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
+        raise InputError(f"{name} = {number!r}: a whole number from 1 is needed")
 
 
 def choices(wrong: str, known: Iterable[str]) -> str:

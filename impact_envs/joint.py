@@ -8,10 +8,13 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces import Box
 
+from impact_envs.agent_vectors import read_vector
 from impact_envs.env import parallel_env
 from impact_envs.scenario import Scenario
+from impact_envs.stream import check_seed
 
 
 class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -22,7 +25,8 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Observation space: everything measured once (bodies in scenario order, contacts, time / horizon, robustness
     interval; see the task's ``observe_jointly``).
 
-    Rewards, starting state, episode end: as ImpactEnv; the reward is the sum over agents.
+    Rewards, starting state, episode end: as ImpactEnv; the reward is the sum over agents. ``max_cycles`` cuts an
+    episode, and its last info has the verdict; Gymnasium's ``max_episode_steps`` cuts from outside, without one.
     """
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 30}
@@ -30,26 +34,38 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def __init__(
         self, scenario: str | Path | Scenario, render_mode: str | None = None, max_cycles: int | None = None
     ) -> None:
+        self._spec: EnvSpec | None = None
         self.parallel = parallel_env(scenario, render_mode, max_cycles)
         self.render_mode = render_mode
         sizes = [self.parallel.action_space(agent).shape[0] for agent in self.parallel.possible_agents]
         *starts, size = itertools.accumulate(sizes, initial=0)
-        # The last agent gets all the rest, so that an action that is too long is refused.
-        self._parts = [slice(*ends) for ends in itertools.pairwise([*starts, None])]
+        self._parts = [slice(*ends) for ends in itertools.pairwise([*starts, size])]
         self.action_space = Box(-1.0, 1.0, (size,), np.float32)
         self.observation_space = self.parallel.task.joint_observation_space
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Return Gymnasium's specification, with the length of an episode, which truncates itself without TimeLimit."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None and spec.max_episode_steps is None:
+            spec.max_episode_steps = min(self.parallel.max_cycles, self.parallel.scenario.steps)
+        self._spec = spec
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Draw a world and start; see ImpactEnv.reset."""
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else check_seed(seed))
         _, infos = self.parallel.reset(seed=seed, options=options)
         return self._observe(), next(iter(infos.values()))
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Hold all agents' actions for one control period; see ImpactEnv.step."""
-        action, agents = np.asarray(action), self.parallel.possible_agents
+        agents = self.parallel.possible_agents
+        action = read_vector(action, self._parts[-1].stop, "action", finite=False)
         actions = {agent: action[part] for agent, part in zip(agents, self._parts, strict=True)}
         _, rewards, terminations, truncations, infos = self.parallel.step(actions)
         first, total = agents[0], 0.0

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from impact_envs.stl import Trace, robustness, satisfied
-
 if TYPE_CHECKING:  # reading a scenario does not wait for the compiler
     from impact_envs.physics.impact import Impact, LastingContact
 
@@ -103,8 +101,7 @@ class Episode:
         rewards: agent to rewards, shape (T,).
         impacts: in order of time.
         robustness_bounds: interval of robustness still possible, shape (T+1, 2) [m].
-        robustness: of the whole formula on the true signals [m].
-        success: the formula holds.
+        robustness, success: of the whole formula on the true signals, as the environment's last infos say [m].
         effort: propulsion spent, sum of |F| dt over robots [N s].
         solve_seconds: the policy's computing time per control step, shape (n,) [s].
         fallbacks: the policy's fallbacks, name to count.
@@ -150,10 +147,11 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
 
     Returns:
         The episode. If ``max_cycles`` cut the horizon, robustness is the lower bound of what was still possible.
+        The verdict is the environment's own, see ImpactEnv.
     """
     env = getattr(env.unwrapped, "parallel", env)
     start = time.perf_counter()
-    observations, _ = env.reset(seed=seed)
+    observations, infos = env.reset(seed=seed)
     policy.reset(seed)
     signals, bounds, actions, rewards = [env.signals], [env.bounds], [], []
     impacts: list[Impact] = []
@@ -162,7 +160,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         on_step(env)
     while env.agents:
         chosen = policy.act(observations)
-        observations, reward, _, _, _ = env.step(chosen)
+        observations, reward, _, _, infos = env.step(chosen)
         signals.append(env.signals)
         bounds.append(env.bounds)
         actions.append(chosen)
@@ -174,7 +172,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
     scenario, diagnostics = env.scenario, policy.diagnostics()
     traces = {name: np.array([sample[name] for sample in signals]) for name in signals[0]}
     failed = env.failure is not None
-    rho, success = (bounds[-1][0], False) if failed else _judge(scenario, traces, bounds[-1][0])
+    verdict = next(iter(infos.values()))
     return Episode(
         scenario=scenario.name,
         policy=policy.name,
@@ -186,8 +184,8 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         rewards={name: np.array([reward[name] for reward in rewards]) for name in scenario.agents},
         impacts=tuple(impacts),
         robustness_bounds=np.array(bounds),
-        robustness=rho,
-        success=success,
+        robustness=verdict["robustness"],
+        success=verdict["success"],
         effort=env.impulse,
         solve_seconds=np.array(diagnostics.solve_seconds),
         fallbacks=dict(diagnostics.fallbacks),
@@ -197,11 +195,3 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         failure=str(env.failure) if failed else "",
         lasting_contacts=tuple(contacts),
     )
-
-
-def _judge(scenario: Any, traces: Mapping[str, np.ndarray], lower: float) -> tuple[float, bool]:
-    """Return robustness and satisfaction of the true signals, computed apart from the online monitor."""
-    if len(next(iter(traces.values()))) <= scenario.steps:
-        return lower, lower > 0
-    trace = Trace(traces, scenario.control_period, scenario.areas, scenario.bodies)
-    return float(robustness(scenario.specification, trace)), bool(satisfied(scenario.specification, trace))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -62,6 +63,21 @@ def seed_streams(seeds: Sequence[int] | np.ndarray) -> np.ndarray:
     streams = np.empty((len(rows), WORDS), dtype=np.uint64)
     _seed_all(streams, rows.astype(np.uint64))
     return streams
+
+
+def check_seed(seed: Any, what: str = "seed") -> int:
+    """Return a seed of an episode.
+
+    Args:
+        seed: a whole number from 0 to 2**63 - 1.
+        what: what to call it in an error.
+
+    Raises:
+        InputError: anything else.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed <= LARGEST_SEED:
+        raise InputError(f"{what} = {seed!r}: a whole number from 0 to 2**63 - 1 is needed")
+    return int(seed)
 
 
 def draw_doubles(streams: np.ndarray, worlds: np.ndarray, count: int) -> np.ndarray:

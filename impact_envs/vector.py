@@ -12,13 +12,16 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from impact_envs.agent_vectors import REAL
 from impact_envs.domain import find_part
-from impact_envs.errors import InputError, choices
+from impact_envs.errors import InputError, ResetNeeded, check_count, choices
 from impact_envs.scenario import Scenario, load_scenario
-from impact_envs.stream import LARGEST_SEED
+from impact_envs.stl.verdict import judge
+from impact_envs.stream import LARGEST_SEED, check_seed
 
 DTYPES = {"float64": np.float64, "float32": np.float32}
 DEVICES = ("cpu", "cuda")
+RENDER_MODES = ("rgb_array",)
 # Infos that are there at every call, and their masks, which are true of all worlds.
 VALUES = ("robustness_lower", "robustness_upper", "impacts", "overflow")
 ALWAYS = (*VALUES, *(f"_{name}" for name in VALUES))
@@ -46,6 +49,8 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         per_robot: compute each robot's own observation too (``agent_observations``).
         device: of the torch tensors that are taken and returned: ``cpu``, where they share memory with the arrays, or
             ``cuda`` for worlds on a GPU; default: NumPy arrays.
+        render_mode: ``rgb_array`` to draw the worlds.
+        max_episode_steps: what ``gymnasium.make_vec`` calls ``max_cycles``.
 
     Raises:
         ScenarioError: the scenario cannot be read.
@@ -62,6 +67,8 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         threads: int | None = None,
         per_robot: bool = False,
         device: Literal["cpu", "cuda"] | None = None,
+        render_mode: Literal["rgb_array"] | None = None,
+        max_episode_steps: int | None = None,
     ) -> None:
         loaded = load_scenario(scenario)
         make_batch = find_part("impact_envs", loaded.domain, "BATCH")
@@ -70,6 +77,13 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
                 f"scenario '{loaded.name}': domain '{loaded.domain}' has no batched engine; "
                 "gymnasium.vector.SyncVectorEnv runs every scenario"
             )
+        if render_mode not in (None, *RENDER_MODES):
+            raise InputError(f"render_mode '{render_mode}' is unknown; {choices(str(render_mode), RENDER_MODES)}")
+        if max_episode_steps is not None:
+            if max_cycles is not None:
+                raise InputError(f"max_cycles = {max_cycles}, max_episode_steps = {max_episode_steps}: give only one")
+            check_count("max_episode_steps", max_episode_steps)
+            max_cycles = max_episode_steps
         if dtype not in DTYPES:
             raise InputError(f"dtype '{dtype}' is unknown; {choices(dtype, DTYPES)}")
         if device not in (None, *DEVICES):
@@ -79,11 +93,14 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         modes = [mode.value for mode in AutoresetMode]
         if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in modes:
             raise InputError(f"autoreset_mode '{autoreset_mode}' is unknown; {choices(str(autoreset_mode), modes)}")
-        for name, number in (("num_envs", num_envs), ("threads", threads or 1)):
-            if not isinstance(number, int | np.integer) or number < 1:
-                raise InputError(f"{name} = {number}: a whole number from 1 is needed")
+        check_count("num_envs", num_envs)
+        for name, number in (("threads", threads), ("max_cycles", max_cycles)):
+            if number is not None:
+                check_count(name, number)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {"autoreset_mode": self.autoreset_mode}
+        self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": list(RENDER_MODES), "render_fps": 30}
+        self.render_mode = render_mode
+        self._renderer: Any = None
         threads = threads or len(os.sched_getaffinity(0))
         self.batch: Any = make_batch(loaded, num_envs, max_cycles, DTYPES[dtype], threads, device or "cpu")
         size = self.batch.joint_size
@@ -131,7 +148,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             seed = int(np.random.SeedSequence().entropy) % 2**62  # type: ignore[arg-type]
         if seed is not None:
             self.batch.seed(chosen, self._make_seeds(seed, chosen))
-            super().reset(seed=seed if isinstance(seed, int) else None)
+            super().reset(seed=int(seed) if np.ndim(seed) == 0 else None)  # type: ignore[arg-type]
         self._started = True
         output = self._fresh(copy=not mask.all())
         self.batch.start(mask, output)
@@ -149,17 +166,19 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             Observations, rewards (summed over robots), terminations (of failed simulations), truncations, infos.
 
         Raises:
-            InputError: an action that is no finite number, naming world and robot; before ``reset``; or, without
-                autoreset, a world whose episode is over. Nothing was stepped.
+            ResetNeeded: before ``reset``; or, without autoreset, a world whose episode is over.
+            InputError: an action that is no finite number, naming world and robot. Nothing was stepped.
         """
         if not self._started:
-            raise InputError("step before reset: call reset first")
-        actions = self._take(actions)
+            raise ResetNeeded("step before reset: call reset first")
+        actions = self._take_actions(actions)
         if tuple(actions.shape) != self.action_space.shape:
             raise InputError(f"actions have shape {tuple(actions.shape)}; {self.action_space.shape} is needed")
         if self.autoreset_mode == AutoresetMode.DISABLED and self._over.any():
             world = self._over.tolist().index(True)
-            raise InputError(f"the episode of world {world} is over: reset it with options={{'reset_mask': ...}}")
+            raise ResetNeeded(
+                f"step after the end of the episode of world {world}: reset it with options={{'reset_mask': ...}}"
+            )
         restart = self._over if self._ended and self.autoreset_mode == AutoresetMode.NEXT_STEP else None
         output = self._fresh(copy=False)
         self.batch.step(actions.reshape(self.num_envs, -1, 3), output, restart)
@@ -189,9 +208,43 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         self._over = self._falses()
         return self._infos() | {name: infos[name] for name in ends} | final
 
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Draw every world as it is now, without the paths that led there.
+
+        Returns:
+            An image of each world, shape (height, width, 3) uint8; None without ``render_mode``.
+
+        Raises:
+            ResetNeeded: before the first reset.
+        """
+        if not self._started:
+            raise ResetNeeded("render before reset: call reset first")
+        if self.render_mode is None:
+            return None
+        from impact_envs.render import Frame, Renderer
+
+        scenario: Any = self.scenario
+        batch = self.batch
+        if self._renderer is None:
+            shapes = find_part("impact_envs", scenario.domain, "TASK")(scenario).shapes()
+            self._renderer = Renderer(scenario.world.lower, scenario.world.upper, shapes, self.render_mode)
+        images = []
+        for steps, states, bounds in zip(*(a.tolist() for a in (batch.steps, batch.states, batch.bounds)), strict=True):
+            poses = {body: (s[0], s[1], s[4]) for body, s in zip(scenario.bodies, states, strict=True)}
+            time = steps * scenario.control_period
+            frame = Frame(time=time, poses=poses, robustness=tuple(bounds), caption=scenario.name)
+            images.append(self._renderer.draw(frame))
+        return tuple(images)
+
     def close_extras(self, **kwargs: Any) -> None:
-        """Let the threads go."""
+        """Let the threads go, and what draws."""
         self.batch.close()
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderer": None}
 
     def _fresh(self, copy: bool) -> Any:
         output = self.batch.make_output(self.per_robot)
@@ -207,8 +260,9 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         values = (low, high, _copy(batch.impacts), _copy(batch.overflow), *_copy(self._masks))
         infos = dict(zip(ALWAYS, values, strict=True))
         if over is not None:
-            infos |= {"robustness": low * over, "_robustness": _copy(over)}
-            infos |= {"success": over & (low > 0), "_success": _copy(over)}
+            robustness, success = judge(batch.outcome)
+            infos |= {"robustness": robustness * over, "_robustness": _copy(over)}
+            infos |= {"success": success & over, "_success": _copy(over)}
         failed = batch.failed if over is not None else None
         if self.tensors:
             infos = {name: self._give(value) for name, value in infos.items()}
@@ -218,15 +272,15 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _make_seeds(self, seed: Any, worlds: np.ndarray) -> np.ndarray:
         """Return the seeds of some worlds, shape (m,)."""
-        if isinstance(seed, int | np.integer):
-            seed = range(int(seed), int(seed) + self.num_envs)
+        if np.ndim(seed) == 0:
+            first = check_seed(seed)
+            seed = range(first, first + self.num_envs)
         if np.shape(seed) != (self.num_envs,):
             raise InputError(f"seed has shape {np.shape(seed)}; one number, or one for each of {self.num_envs} worlds")
         if isinstance(seed, range) and seed[0] >= 0 and seed[-1] <= LARGEST_SEED:
             return seed[0] + worlds
         for world in worlds.tolist():
-            if not isinstance(seed[world], int | np.integer) or not 0 <= seed[world] <= LARGEST_SEED:
-                raise InputError(f"seed of world {world} = {seed[world]}: a whole number from 0 to 2**63 - 1 is needed")
+            check_seed(seed[world], f"seed of world {world}")
         return np.array([int(seed[world]) for world in worlds.tolist()], np.int64)
 
     def _check_mask(self, mask: Any) -> np.ndarray:
@@ -239,6 +293,16 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
                 "true at least"
             )
         return mask
+
+    def _take_actions(self, actions: Any) -> Any:
+        """Return actions as the batch takes them, unless they are no real numbers."""
+        try:
+            taken = self._take(actions)
+        except (ValueError, TypeError, RuntimeError):  # text, or of different lengths
+            taken = np.empty(0, object)
+        if not (taken.is_complex() if self.on_gpu and hasattr(taken, "is_complex") else taken.dtype.kind not in REAL):
+            return taken
+        raise InputError(f"actions: real numbers of shape {self.action_space.shape} are needed")
 
     def _take(self, values: Any) -> Any:
         """Return what a caller gives as the batch takes it."""

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from gymnasium.spaces import Box
 
+from impact_envs.agent_vectors import read_vectors
 from impact_envs.dual_arm.arm import compute_pose
 from impact_envs.dual_arm.model import FORCES, JOINTS, KEPT, RATES, WIDTH
 from impact_envs.dual_arm.observation import ARM, make_joint_layout, make_layout
@@ -39,6 +40,7 @@ class DualArmTask:
     def __init__(self, scenario: DualArmScenario) -> None:
         self.scenario = scenario
         self._limits = scenario.links.torque_limits
+        self._sizes = dict.fromkeys(scenario.agents, 3)
         self._arms = scenario.arm_numbers()
         self._signals = [f"{body}.{name}" for body in scenario.bodies for name in scenario.signals]
         self._measured = np.zeros((2, ARM.size))
@@ -60,12 +62,17 @@ class DualArmTask:
         self.sense(states, [])
 
     def controls(self, actions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Scale actions to joint torques [N m], shape (3,) each."""
+        """Scale actions to joint torques [N m], shape (3,) each.
+
+        Raises:
+            InputError: an arm without action, an unknown arm, or an action that is not three finite numbers.
+        """
+        read = read_vectors(actions, self._sizes, "action")
         return {
             name: np.array(
-                [min(max(float(u), -1.0), 1.0) * limit for u, limit in zip(action, self._limits, strict=True)]
+                [min(max(float(u), -1.0), 1.0) * limit for u, limit in zip(read[name], self._limits, strict=True)]
             )
-            for name, action in actions.items()
+            for name in actions
         }
 
     def effort(self, action: np.ndarray) -> float:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from impact_envs.agent_vectors import read_vectors
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact
@@ -132,8 +133,13 @@ def read_observations(scenario: FloatingManipulatorScenario, observations: Mappi
     Returns:
         The measurement of this control step; psi and the box's heading lie in [-pi, pi], NaN if what was read is no
         direction.
+
+    Raises:
+        InputError: an agent is missing or unknown, or its observation is not as long as `make_layout` says.
     """
-    vector, layout = next(iter(observations.values())), make_layout(scenario)
+    layout = make_layout(scenario)
+    sizes = dict.fromkeys(scenario.agents, layout.size)
+    vector = read_vectors(observations, sizes, "observation", finite=False)[scenario.agents[0]]
     x, y, cos, sin = vector[layout["base"]]
     q = np.array([x, y, _read_heading(cos, sin), *vector[layout["joints"]]])
     v = np.concatenate([vector[layout["base_rates"]], vector[layout["joint_rates"]]])

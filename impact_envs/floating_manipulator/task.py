@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from gymnasium.spaces import Box
 
+from impact_envs.agent_vectors import read_vectors
 from impact_envs.floating_manipulator.actuation import compute_forces
 from impact_envs.floating_manipulator.observation import find_places, make_layout, select_felt, write_observation
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
@@ -49,6 +50,7 @@ class FloatingManipulatorTask:
         self.scenario = scenario
         self._n = len(scenario.links)
         self._limits = scenario.largest_commands
+        self._sizes = {name: len(limits) for name, limits in self._limits.items()}
         true = scenario.true
         self._noise = np.array(
             [true.position_noise] * 2 + [true.speed_noise] * 2 + [true.heading_noise, true.rate_noise]
@@ -79,10 +81,13 @@ class FloatingManipulatorTask:
         self._store_sample(states, False)
 
     def controls(self, actions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Scale actions to commanded torques and forces [N m], [N]."""
-        controls = {
-            name: np.minimum(np.maximum(action, -1.0), 1.0) * self._limits[name] for name, action in actions.items()
-        }
+        """Scale actions to commanded torques and forces [N m], [N].
+
+        Raises:
+            InputError: an agent without action, an unknown agent, or an action that is not its finite numbers.
+        """
+        read = read_vectors(actions, self._sizes, "action")
+        controls = {name: np.minimum(np.maximum(read[name], -1.0), 1.0) * self._limits[name] for name in actions}
         self._torques = compute_forces(self.scenario, self._physics, self._v, controls)[3:]
         return controls
 

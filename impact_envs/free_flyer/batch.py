@@ -73,6 +73,11 @@ class BatchViews:
         return self._memory.bounds
 
     @property
+    def outcome(self) -> Any:
+        """Return the robustness if the episodes ended now, for ``judge``, shape (N,) [m]."""
+        return self._memory.outcome
+
+    @property
     def states(self) -> Any:
         """Return the true states, shape (N, bodies, 6); as ``DiscModel.state``."""
         return self._memory.states
@@ -273,6 +278,7 @@ class Batch(BatchViews):
             felt=contacts if ideal else np.zeros_like(contacts),
             monitor=np.zeros((count, self._formula.size), dtype),
             bounds=np.zeros((count, 2), dtype),
+            outcome=np.zeros(count, dtype),
         )
         return make_worlds(self._arena, count, true.moves_bodies, true.changes_thrusters, dtype), view_signals(memory)
 

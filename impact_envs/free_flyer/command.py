@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from impact_envs.agent_vectors import REAL, check_agents, read_vector
 from impact_envs.compiled import compiled
-from impact_envs.errors import InputError, choices
 
 
 def read_commands(commands: Mapping[str, Any], robots: Mapping[str, Any], limits: np.ndarray, what: str) -> np.ndarray:
@@ -24,19 +23,19 @@ def read_commands(commands: Mapping[str, Any], robots: Mapping[str, Any], limits
     Raises:
         InputError: a robot without command, an unknown robot, or a command that is not three finite numbers.
     """
-    if commands.keys() != robots.keys():
-        wrong = ", ".join(sorted(commands.keys() ^ robots.keys()))
-        raise InputError(f"{what}s must name every robot once, not so: {wrong}; {choices(wrong, robots)}")
+    if not isinstance(commands, dict) or commands.keys() != robots.keys():
+        check_agents(commands, robots, what)
     try:
-        rows = np.array([commands[name] for name in robots], dtype=float)
-    except ValueError:  # of different lengths
+        rows = np.array([commands[name] for name in robots])
+    except (ValueError, TypeError):  # of different lengths
         rows = np.empty(0)
-    if rows.shape != limits.shape or not clip(rows, limits):
-        for name in robots:
-            command = np.asarray(commands[name], dtype=float)
-            if command.shape != (3,) or not all(map(math.isfinite, command.tolist())):
-                raise InputError(f"{what} of {name} = {command.tolist()}: three finite numbers Fx, Fy, tau are needed")
-    return rows
+    if rows.shape == limits.shape and rows.dtype.kind in REAL:
+        if rows.dtype.char != "d":
+            rows = rows.astype(float)
+        if clip(rows, limits):
+            return rows
+    needed = "three finite numbers Fx, Fy, tau"
+    return np.array([read_vector(commands[name], 3, f"{what} of {name}", needed=needed) for name in robots])
 
 
 @compiled

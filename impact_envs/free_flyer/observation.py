@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from impact_envs.agent_vectors import read_vectors
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
 from impact_envs.free_flyer.sensing import (
     BODY,
@@ -105,8 +106,14 @@ def join_observations(scenario: FreeFlyerScenario, observations: Mapping[str, np
         scenario: says who is in the observations.
         observations: robot to its own observation.
         joint: takes the joint observation, laid out as `make_joint_layout` says.
+
+    Raises:
+        InputError: a robot is missing or unknown, or its observation is not as long as `make_layout` says.
     """
-    first, n = observations[scenario.agents[0]], BODY_SIZE * len(scenario.bodies)
+    n = BODY_SIZE * len(scenario.bodies)
+    sizes = dict.fromkeys(scenario.agents, n + TAIL_SIZE)
+    observations = read_vectors(observations, sizes, "observation", finite=False)
+    first = observations[scenario.agents[0]]
     joint[:n] = first[:n]  # the first robot sees all bodies in scenario order
     for i, name in enumerate(scenario.agents):
         joint[BODY_SIZE * i : BODY_SIZE * (i + 1)] = observations[name][:BODY_SIZE]

@@ -37,6 +37,7 @@ from impact_envs.free_flyer.worlds import (
 from impact_envs.reward import compute_effort, compute_reward, compute_team_reward
 from impact_envs.stl.compiled_formula import CompiledFormula
 from impact_envs.stl.stepper import start_monitor, update_monitor
+from impact_envs.stl.verdict import compute_outcome, settle_tie
 from impact_envs.stream import next_double
 
 
@@ -69,6 +70,7 @@ class Memory(NamedTuple):
         measured, felt: states and contacts as measured; of ideal sensors ``states`` and ``contacts`` themselves.
         monitor: of the formula, shape (N, ...).
         bounds: interval of robustness still possible, shape (N, 2) [m].
+        outcome: the robustness if the episode ended now, ties marked (``verdict.py``), shape (N,) [m].
     """
 
     states: np.ndarray
@@ -81,6 +83,7 @@ class Memory(NamedTuple):
     felt: np.ndarray
     monitor: np.ndarray
     bounds: np.ndarray
+    outcome: np.ndarray
 
 
 class Output(NamedTuple):
@@ -158,7 +161,7 @@ def fail_task(
 ) -> None:
     """End the episode of world k, whose motion cannot be followed: least robustness, the last sample observed."""
     before = memory.bounds[k, 0], memory.bounds[k, 1]
-    memory.bounds[k, 0] = memory.bounds[k, 1] = -rules.diagonal
+    memory.bounds[k, 0] = memory.bounds[k, 1] = memory.outcome[k] = -rules.diagonal
     team = compute_team_reward(before, (-rules.diagonal, -rules.diagonal), True)
     for i in range(arena.robots):
         output.rewards[k, i] = compute_reward(team, arena.robots, compute_effort(actions[k, i]))
@@ -198,8 +201,9 @@ def start_task(
 def watch(formula: CompiledFormula, rules: Rules, memory: Memory, k: int, count: int) -> None:
     """Take the formula's sample of world k."""
     low, high = update_monitor(formula, memory.monitor, k, count, memory.signals)
-    memory.bounds[k, 0] = max(-rules.diagonal, min(rules.diagonal, low))
-    memory.bounds[k, 1] = max(-rules.diagonal, min(rules.diagonal, high))
+    memory.outcome[k] = compute_outcome(low, high, rules.diagonal)
+    memory.bounds[k, 0] = max(-rules.diagonal, min(rules.diagonal, settle_tie(low)))
+    memory.bounds[k, 1] = max(-rules.diagonal, min(rules.diagonal, settle_tie(high)))
 
 
 @inlined

@@ -17,7 +17,7 @@ class CompiledFormula(NamedTuple):
         starts: first row in ``code`` of each formula without temporal operators, and the end, int32.
         code: Boolean combinations of predicates, int32.
         columns: of the sample, as the predicates read them, int32.
-        numbers: coefficients of the predicates and ends of ranges, float64.
+        numbers: of the predicates, what stands for a margin of zero and the coefficients; ends of ranges; float64.
         size: how many numbers a world's memory holds.
     """
 

@@ -14,7 +14,7 @@ from impact_envs.stl import alternation, joined
 from impact_envs.stl import compiled_formula as tables
 from impact_envs.stl.compiled_formula import CompiledFormula
 from impact_envs.stl.formula import Formula
-from impact_envs.stl.margin import AreaLike, Margin, Range, combine_ranges
+from impact_envs.stl.margin import AreaLike, Margin, Range, combine_ranges, mark_tie
 from impact_envs.stl.term import (
     Combination,
     Operator,
@@ -210,7 +210,7 @@ class _Builder:
         kind, names, numbers, count = margin.encode()
         column = len(self.columns)
         self.columns += (self.column_of[name] for name in names)
-        self.code.append([kind, how, column, self._add_numbers(numbers), count])
+        self.code.append([kind, how, column, self._add_numbers((mark_tie(0.0, margin.strict), *numbers)), count])
 
     def _add_numbers(self, numbers: Sequence[float]) -> int:
         self.numbers += numbers

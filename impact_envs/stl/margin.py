@@ -20,6 +20,10 @@ Range: TypeAlias = tuple[float, float]
 EVERYTHING: Range = (-math.inf, math.inf)
 Code: TypeAlias = tuple[int, tuple[str, ...], tuple[float, ...], int]
 
+# Stands for a margin of exactly zero where truth counts: TIE where the predicate holds, -TIE where it does not. The
+# least normal number of float32, which no margin of a moving body comes close to.
+TIE = 2.0**-126
+
 # Kinds of a margin for the compiled evaluator (state.py).
 AREA, LINEAR, NORM = 1, 2, 3
 
@@ -32,7 +36,11 @@ class AreaLike(Protocol):
 
 
 class Margin(Protocol):
-    """A predicate made numeric."""
+    """A predicate made numeric; ``strict`` says that it is false at a robustness of exactly zero."""
+
+    @property
+    def strict(self) -> bool:
+        """Return whether the predicate is false at zero."""
 
     def compute(self, signals: Mapping[str, Array], xp: Any) -> Array:
         """Return mu of every sample.
@@ -71,6 +79,7 @@ class AreaMargin:
     y: str
     faces: tuple[tuple[float, float, float], ...]
     sign: float
+    strict: bool = False
 
     def compute(self, signals: Mapping[str, Array], xp: Any) -> Array:
         """Return mu of every sample (see Margin)."""
@@ -99,7 +108,7 @@ class AreaMargin:
 
     def negate(self) -> AreaMargin:
         """Return the opposite margin (see Margin)."""
-        return replace(self, sign=-self.sign)
+        return replace(self, sign=-self.sign, strict=not self.strict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +118,7 @@ class LinearMargin:
     terms: tuple[tuple[str, float], ...]
     bound: float
     sign: float
+    strict: bool = False
 
     def compute(self, signals: Mapping[str, Array], xp: Any) -> Array:
         """Return mu of every sample (see Margin)."""
@@ -132,7 +142,7 @@ class LinearMargin:
 
     def negate(self) -> LinearMargin:
         """Return the opposite margin (see Margin)."""
-        return replace(self, sign=-self.sign)
+        return replace(self, sign=-self.sign, strict=not self.strict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +156,7 @@ class NormMargin:
     tail: tuple[str, str] | None
     bound: float
     sign: float
+    strict: bool = False
 
     def compute(self, signals: Mapping[str, Array], xp: Any) -> Array:
         """Return mu of every sample (see Margin); the gradient at norm zero is zero."""
@@ -182,7 +193,7 @@ class NormMargin:
 
     def negate(self) -> NormMargin:
         """Return the opposite margin (see Margin)."""
-        return replace(self, sign=-self.sign)
+        return replace(self, sign=-self.sign, strict=not self.strict)
 
 
 def combine_ranges(pick: Any, ranges: Iterable[Range]) -> Range:
@@ -194,6 +205,16 @@ def combine_ranges(pick: Any, ranges: Iterable[Range]) -> Range:
     """
     lows, highs = zip(*ranges, strict=True)
     return pick(lows), pick(highs)
+
+
+def mark_tie(value: float, strict: bool) -> float:
+    """Return a margin, or an end of its range; instead of zero TIE or -TIE.
+
+    Args:
+        value: of the margin.
+        strict: whether the predicate is false at zero.
+    """
+    return value if value else -TIE if strict else TIE
 
 
 def _slack(bound: float, terms: Iterable[tuple[str, float]], bounds: Mapping[str, Range]) -> Range:

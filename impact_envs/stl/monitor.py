@@ -19,6 +19,7 @@ from impact_envs.stl.formula import Formula
 from impact_envs.stl.margin import AreaLike, Range
 from impact_envs.stl.stepper import start_monitor, update_world
 from impact_envs.stl.term import compute_range, make_term
+from impact_envs.stl.verdict import settle_tie
 
 
 class Monitor:
@@ -43,6 +44,7 @@ class Monitor:
 
     Attributes:
         interval: of robustness still possible, lower and upper end; at first what the bounds alone allow.
+        ends: the same with ties marked: above zero where the formula holds, below where it does not.
         count: samples taken.
         reach: last sample that the formula looks at.
 
@@ -72,7 +74,9 @@ class Monitor:
     def reset(self) -> None:
         """Forget all samples."""
         start_monitor(self._compiled, self._memory, 0)
-        self.count, self.interval = 0, self._possible
+        self.count = 0
+        low, high = self.ends = self._possible
+        self.interval = settle_tie(low), settle_tie(high)
 
     @property
     def final(self) -> bool:
@@ -83,11 +87,10 @@ class Monitor:
     def verdict(self) -> bool | None:
         """Return the truth value as soon as it is decided.
 
-        True when the lower end is above zero, False when the upper end is below. None before that, and for
-        good if the final robustness is exactly zero, which says nothing about satisfaction (``satisfied``
-        does).
+        True when the lower end is above zero, False when the upper end is below, None before that. Where an end is
+        exactly zero, ``in``, ``<=`` and ``>=`` hold, and ``not in``, ``<`` and ``>`` do not, as for ``satisfied``.
         """
-        low, high = self.interval
+        low, high = self.ends
         return True if low > 0 else False if high < 0 else None
 
     def update(self, sample: Mapping[str, float]) -> Range:
@@ -115,6 +118,6 @@ class Monitor:
             raise InputError(f"sample: signal '{name}' is {value}; it must be finite")
         if self.count >= self._first:  # no sample before it changes anything
             pack_into(self._format, self._sample, 0, *values)
-            self.interval = update_world(*self._compiled, self._memory, self.count, self._sample)
+            self.interval, self.ends = update_world(*self._compiled, self._memory, self.count, self._sample)
         self.count += 1
         return self.interval

@@ -71,7 +71,7 @@ class In(Predicate):
             raise FormulaError(f"area '{self.area}' is unknown; {choices(self.area, areas)}")
         H, b = (np.asarray(part, dtype=float).tolist() for part in areas[self.area].halfspaces())
         faces = tuple((offset, hx, hy) for offset, (hx, hy) in zip(b, H, strict=True))
-        return AreaMargin(f"{self.body}.x", f"{self.body}.y", faces, -1.0 if self.negated else 1.0)
+        return AreaMargin(f"{self.body}.x", f"{self.body}.y", faces, -1.0 if self.negated else 1.0, self.strict)
 
     def negate(self) -> Predicate:
         """Return ``not in`` for ``in``, and the other way round."""
@@ -149,7 +149,9 @@ class Distance(Comparison):
 
     def margin(self, areas: Mapping[str, AreaLike]) -> Margin:
         """Return the margin of the distance."""
-        return NormMargin((f"{self.a}.x", f"{self.a}.y"), (f"{self.b}.x", f"{self.b}.y"), self.bound, self.sign)
+        return NormMargin(
+            (f"{self.a}.x", f"{self.a}.y"), (f"{self.b}.x", f"{self.b}.y"), self.bound, self.sign, self.strict
+        )
 
     def signals(self) -> tuple[str, ...]:
         """Return both positions."""
@@ -176,7 +178,7 @@ class Speed(Comparison):
 
     def margin(self, areas: Mapping[str, AreaLike]) -> Margin:
         """Return the margin of the speed."""
-        return NormMargin((f"{self.body}.vx", f"{self.body}.vy"), None, self.bound, self.sign)
+        return NormMargin((f"{self.body}.vx", f"{self.body}.vy"), None, self.bound, self.sign, self.strict)
 
     def signals(self) -> tuple[str, ...]:
         """Return the body's velocity."""
@@ -220,7 +222,7 @@ class Linear(Comparison):
 
     def margin(self, areas: Mapping[str, AreaLike]) -> Margin:
         """Return the margin of the linear combination."""
-        return LinearMargin(self.terms, self.bound, self.sign)
+        return LinearMargin(self.terms, self.bound, self.sign, self.strict)
 
     def signals(self) -> tuple[str, ...]:
         """Return the signals compared."""

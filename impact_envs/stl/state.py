@@ -31,7 +31,7 @@ def combine(how: int, a: float, b: float) -> float:
 def compute_margin(formula: CompiledFormula, signals: Any, k: int, i: int) -> float:
     """Return mu of the predicate at step i of the code (see margin.py)."""
     columns, numbers = formula.columns, formula.numbers
-    kind, c, n = formula.code[i, KIND], formula.code[i, COLUMN] & PLACE, formula.code[i, NUMBER] & PLACE
+    kind, c, n = formula.code[i, KIND], formula.code[i, COLUMN] & PLACE, (formula.code[i, NUMBER] & PLACE) + 1
     count = formula.code[i, COUNT]
     sign = numbers[n]
     if kind == AREA:
@@ -57,7 +57,7 @@ def compute_margin(formula: CompiledFormula, signals: Any, k: int, i: int) -> fl
 
 @inlined
 def compute_state(formula: CompiledFormula, memory: Any, k: int, signals: Any, state: int) -> float:
-    """Return the robustness of a formula without temporal operators at the present sample."""
+    """Return the robustness of a formula without temporal operators at the present sample, ties marked."""
     value = 0.0
     for i in range(formula.starts[state] & PLACE, formula.starts[state + 1] & PLACE):
         kind = formula.code[i, KIND]
@@ -69,5 +69,7 @@ def compute_state(formula: CompiledFormula, memory: Any, k: int, signals: Any, s
                 value = memory[k, formula.code[i, NUMBER]]
             else:
                 second = compute_margin(formula, signals, k, i)
+                if second == 0.0:
+                    second = formula.numbers[formula.code[i, NUMBER] & PLACE]
             value = combine(formula.code[i, HOW], value, second)
     return value

@@ -40,6 +40,7 @@ from impact_envs.stl.joined import start_joined, update_joined
 from impact_envs.stl.nested import update_nodes, update_open_extreme, update_open_until
 from impact_envs.stl.sliding import worst
 from impact_envs.stl.state import PLACE, combine, compute_state
+from impact_envs.stl.verdict import settle_tie
 
 
 @inlined
@@ -114,7 +115,7 @@ def update_monitor(formula: CompiledFormula, memory: Any, k: int, count: int, si
             signals).
 
     Returns:
-        Lower and upper end of the robustness still possible.
+        Lower and upper end of the robustness still possible, ties marked (see ``verdict.py``).
     """
     if formula.nodes.shape[0] > 0:
         update_nodes(formula, memory, k, count, signals)
@@ -159,6 +160,12 @@ def update_world(
     memory: np.ndarray,
     count: int,
     sample: np.ndarray,
-) -> tuple[float, float]:
-    """``update_monitor`` of a single world, for Python, which hands over arrays faster than a NamedTuple of them."""
-    return update_monitor(CompiledFormula(root, nodes, starts, code, columns, numbers, size), memory, 0, count, sample)
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """``update_monitor`` of a single world, for Python, which hands over arrays faster than a NamedTuple of them.
+
+    Returns:
+        Lower and upper end, and both again with ties marked.
+    """
+    formula = CompiledFormula(root, nodes, starts, code, columns, numbers, size)
+    low, high = update_monitor(formula, memory, 0, count, sample)
+    return (settle_tie(low), settle_tie(high)), (low, high)

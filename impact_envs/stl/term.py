@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from impact_envs.stl.formula import Formula
-from impact_envs.stl.margin import AreaLike, Margin, Range, combine_ranges
+from impact_envs.stl.margin import AreaLike, Margin, Range, combine_ranges, mark_tie
 from impact_envs.stl.operator import Always, And, Eventually, Not, Or, Until
 from impact_envs.stl.predicate import Predicate
 
@@ -206,7 +206,7 @@ def other(pick: Pick) -> Pick:
 
 
 def compute_range(term: Term, bounds: Mapping[str, Range]) -> Range:
-    """Return an interval that holds a term's robustness for all signals within bounds.
+    """Return an interval that holds a term's robustness for all signals within bounds, ties marked (see ``TIE``).
 
     Args:
         term: any.
@@ -216,4 +216,5 @@ def compute_range(term: Term, bounds: Mapping[str, Range]) -> Range:
         # Of an until both sides count, each at its best instant.
         pick = other(term.pick) if isinstance(term, Operator) and len(term.children) == 2 else term.pick
         return combine_ranges(pick, [compute_range(child, bounds) for child in term.children])
-    return term.range(bounds)
+    low, high = term.range(bounds)
+    return mark_tie(low, term.strict), mark_tie(high, term.strict)

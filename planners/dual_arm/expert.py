@@ -8,7 +8,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from impact_envs.dual_arm.observation import ARM
+from impact_envs.agent_vectors import read_vectors
+from impact_envs.dual_arm.observation import ARM, make_layout
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.rollout import Diagnostics
 from planners.correction import check_correction
@@ -49,6 +50,7 @@ class DualArmExpert:
         self.controller = ReferenceSpreading(self._scenario, impact_map, options.controller, options.solver)
         speed = math.hypot(*options.controller.impact_velocity)
         self._readings = Readings(self._scenario, speed, options.readings)
+        self._sizes = dict.fromkeys(scenario.arms, make_layout().size)
         self._limits = np.array([scenario.links.torque_limits] * 2, dtype=float)
         self._target = self._scenario.target.array
         self._first, self._every = (
@@ -90,9 +92,13 @@ class DualArmExpert:
 
         Args:
             observations: arm to its observation.
+
+        Raises:
+            InputError: an arm is missing or unknown, or an observation has another shape.
         """
         begin = time.perf_counter()
-        self._rows = np.array([observations[name][: ARM.size] for name in self._scenario.arms], dtype=float)
+        observed = read_vectors(observations, self._sizes, "observation", finite=False)
+        self._rows = np.array([observed[name][: ARM.size] for name in self._scenario.arms])
         self._readings.check(self._rows, self.controller.solution)
         ticks = self.controller.ticks_of_grasp
         self._awaiting = ticks >= self._first and (ticks - self._first) % self._every == 0

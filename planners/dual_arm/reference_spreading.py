@@ -36,6 +36,7 @@ from planners.dual_arm.torque_qp import (
     make_torque_qp,
 )
 from planners.errors import PlanningError
+from planners.measurement import is_measurement
 
 FADED = 20.0  # time constants after which e^-20 = 2e-9 is left of a step
 Phase = Literal["ante", "interim", "post"]
@@ -189,9 +190,9 @@ class ReferenceSpreading:
             forces: measured normal forces at the pads' corners, used only to detect contact, shape (4,) [N].
 
         Returns:
-            Shape (2, 3) [N m]; the last torques if a measurement is not finite.
+            Shape (2, 3) [N m]; the last torques if a measurement is none (`measurement.py`).
         """
-        if not math.isfinite(sum(q.ravel().tolist()) + sum(v.ravel().tolist())):
+        if not is_measurement((*q.ravel().tolist(), *v.ravel().tolist())):
             return self._hold_torques()
         self._update_phase(q, v, forces.tolist())
         if self.phase == "ante":

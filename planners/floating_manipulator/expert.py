@@ -111,8 +111,13 @@ class FloatingManipulatorExpert:
     def observe(self, observations: Mapping[str, np.ndarray]) -> None:
         """Read this control step's measurements, and decide on the phase and whether a correction is awaited.
 
+        What no motion explains is left out, and counted: `readings`.
+
         Args:
             observations: each agent's observation.
+
+        Raises:
+            InputError: an agent is missing or unknown, or an observation has another shape.
         """
         measurement = read_observations(self._scenario, observations)
         self.take_measurement(self._readings.check(measurement, self._commanded))
@@ -160,11 +165,14 @@ class FloatingManipulatorExpert:
         return compute_features(self._scenario, self._chain, *known)
 
     def control(self) -> dict[str, np.ndarray]:
-        """Return each agent's action in [-1, 1]."""
-        return {
-            agent: np.minimum(np.maximum(control / self._limits[agent], -1.0), 1.0)
-            for agent, control in self.compute_controls().items()
-        }
+        """Return each agent's action in [-1, 1]; none, which is counted, where a control is no number."""
+        actions = {}
+        for agent, control in self.compute_controls().items():
+            if np.isnan(control).any():
+                control = np.zeros_like(control)
+                self._diagnostics.fallbacks["no_action"] += 1
+            actions[agent] = np.minimum(np.maximum(control / self._limits[agent], -1.0), 1.0)
+        return actions
 
     def compute_controls(self) -> dict[str, np.ndarray]:
         """Compute the controls of one step.

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from impact_envs.agent_vectors import REAL
 from impact_envs.compiled import announce
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import make_joint_layout
@@ -92,9 +93,14 @@ class FreeFlyerExpertBatch:
         Raises:
             InputError: observations of another shape.
         """
-        joint = np.ascontiguousarray(observations, dtype=np.float64)
-        if joint.shape != (self.count, self.size):
-            raise InputError(f"observations have shape {joint.shape}; ({self.count}, {self.size}) is needed")
+        needed = f"real numbers of shape ({self.count}, {self.size}) are needed"
+        try:
+            joint = np.asarray(observations)
+        except (ValueError, TypeError):  # of different lengths
+            raise InputError(f"observations: {needed}") from None
+        if joint.shape != (self.count, self.size) or joint.dtype.kind not in REAL:
+            raise InputError(f"observations have shape {joint.shape}, {joint.dtype}; {needed}")
+        joint = np.ascontiguousarray(joint, dtype=np.float64)
         actions = np.empty((self.count, self.robots, 3))
         for k in np.flatnonzero((joint[:, self._clock] == 0.0) & joint[:, [COS, SIN]].any(axis=1)).tolist():  # starts
             self._own.pop(k, None)

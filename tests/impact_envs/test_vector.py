@@ -354,7 +354,7 @@ def test_steps_out_of_turn_are_refused():
     worlds.reset(options={"reset_mask": ONE})
     worlds.step(zeros)
     worlds.reset(options={"reset_mask": ~TWO})
-    with pytest.raises(InputError, match=r"world 2 is over.*reset_mask"):
+    with pytest.raises(InputError, match=r"after the end of the episode of world 2.*reset_mask"):
         worlds.step(zeros)
 
 
@@ -384,13 +384,13 @@ def test_a_mask_that_is_none_is_refused(mask):
 @pytest.mark.parametrize(
     ("seed", "message"),
     [
-        (-1, "world 0 = -1"),
+        (-1, "seed = -1"),
         ([1, 2], "shape"),
         ([1, -2, 3], "world 1 = -2"),
         ([1, None, 3], "world 1 = None"),
         (1.5, "1.5|shape"),
-        (2**64, "world 0 = 18446744073709551616"),
-        (2**63, "world 0 = 9223372036854775808"),
+        (2**64, "seed = 18446744073709551616"),
+        (2**63, "seed = 9223372036854775808"),
         ([5, 2**63, 5], "world 1 = 9223372036854775808"),
     ],
 )

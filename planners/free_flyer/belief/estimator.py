@@ -25,6 +25,7 @@ from planners.free_flyer.belief.readings import (
     open_tracks,
 )
 from planners.free_flyer.belief.world_memory import BLANK_FILTER, NOBODY, UNKNOWN, WorldMemory
+from planners.measurement import LARGEST
 
 
 @compiled
@@ -272,7 +273,7 @@ def learn_noise(memory: WorldMemory, options: Options, k: int, joint: np.ndarray
             dx = x - 3.0 * recent[2, 0] + 3.0 * recent[1, 0] - recent[0, 0]
             dy = y - 3.0 * recent[2, 1] + 3.0 * recent[1, 1] - recent[0, 1]
             square = dx * dx + dy * dy
-            if math.isfinite(square):
+            if square < LARGEST * LARGEST:
                 keep = 1.0 - 1.0 / options.estimation.noise_memory
                 sensor.weight = keep * sensor.weight + 1.0
                 sensor.square = keep * sensor.square + square / 40.0

@@ -153,6 +153,7 @@ COUNTERS = (
     "no_plan",
     "rejected",
     "taken_up",
+    "no_action",
 )
 COUNTS = np.dtype([(name, np.int64) for name in COUNTERS])
 # Assigning one of these clears a record.

@@ -59,7 +59,7 @@ def apply_solution(
 ) -> None:
     """Write robot r's action, and remember the acceleration it should cause.
 
-    The fallbacks: what is left of the last solution, then LQR; each is counted.
+    The fallbacks: what is left of the last solution, then LQR, then nothing where that is no number; each is counted.
     """
     h, pilot = plan.period, plan.pilot[r]
     heading, rate = memory.heading[k, r].angle, memory.heading[k, r].rate
@@ -97,8 +97,11 @@ def apply_solution(
     if bx != ax or by != ay:
         actions[k, r, 0], actions[k, r, 1] = (cos * bx + sin * by) / g, (cos * by - sin * bx) / g
     for i in range(3):
-        limit = pilot[INPUT_LIMIT + i]
-        actions[k, r, i] = min(max(actions[k, r, i] / limit, -1.0), 1.0)
+        share = actions[k, r, i] / pilot[INPUT_LIMIT + i]
+        if math.isnan(share):
+            share = 0.0
+            memory.counts[k].no_action += 1
+        actions[k, r, i] = min(max(share, -1.0), 1.0)
     middle = heading + rate * h / 2
     cos, sin = math.cos(middle), math.sin(middle)
     fx, fy = actions[k, r, 0] * pilot[INPUT_LIMIT], actions[k, r, 1] * pilot[INPUT_LIMIT + 1]

@@ -12,6 +12,7 @@ from impact_envs.scenario import list_scenarios, load_scenario
 from impact_envs.stl import Monitor, parse
 from impact_envs.stl.compiler import compile_formula
 from impact_envs.stl.stepper import start_monitor, update_monitor
+from impact_envs.stl.verdict import settle_tie
 from tests.impact_envs.stl.oracle import Oracle
 from tests.impact_envs.stl.samples import (
     AREAS,
@@ -44,7 +45,8 @@ class Worlds:
 
     def update(self, k, samples):
         """Return the interval of the compiled monitor, and that of the oracle."""
-        got = update_monitor(self.compiled, self.memory, k, self.counts[k], samples)
+        low, high = update_monitor(self.compiled, self.memory, k, self.counts[k], samples)
+        got = settle_tie(low), settle_tie(high)
         self.counts[k] += 1
         return got, self.oracles[k].update(dict(zip(self.names, samples[k], strict=True)))
 

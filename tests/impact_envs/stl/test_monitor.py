@@ -122,12 +122,27 @@ def test_state_formula_is_decided_by_the_first_sample():
     assert monitor.final
 
 
-def test_final_zero_leaves_the_verdict_open():
-    monitor = make_monitor("F[0,1] pop.x >= 0")
+@pytest.mark.parametrize(
+    ("text", "holds"),
+    [
+        ("F[0,1] pop.x >= 0", True),
+        ("F[0,1] pop.x > 0", False),
+        ("F[0,1] not pop.x < 0", True),
+        ("F[0,1] not pop.x <= 0", False),
+        ("F[0,1] (pop.x > 0 | pop.x >= 0)", True),
+        ("F[0,1] (pop.x > 0 & pop.x >= 0)", False),
+        ("pop.x <= 1 U[0,1] pop.x >= 0", True),
+        ("pop.x <= 1 U[0,1] pop.x > 0", False),
+        ("F[0,1] G[0,0] F[0,0] pop.x >= 0", True),
+        ("F[0,1] (pop.x >= 0 U[0,0] pop.x > 0)", False),
+    ],
+)
+def test_at_exactly_zero_the_predicates_decide(text, holds):
+    monitor = make_monitor(text)
     feed(monitor, [-1.0, 0.0])
     assert monitor.final
     assert monitor.interval == (0.0, 0.0)
-    assert monitor.verdict is None
+    assert monitor.verdict is holds
 
 
 def test_samples_after_the_end_change_nothing():
