@@ -35,12 +35,15 @@ PATIENT = {"background.time_limit": 60.0}  # no episode may depend on how busy t
 UNPLANNED = {("crew", "hard")}  # no plan is found within minutes: random actions only
 PACKAGES = ("casadi", "clarabel", "daqp", "highspy", "llvmlite", "numba", "numpy", "pymunk", "scipy")
 
+# Versions of the variants' episodes, which are no part of an id: raised when they change, and told in CHANGELOG.md.
+VARIANTS = {"paper_expert": 1}
+
 Case = tuple[str, str, str, int]  # scenario, suite, policy, seed
 
 
 def list_cases(scenario: str) -> Iterator[Case]:
     """Yield what is played in a scenario."""
-    variants = [name for name in list_variants(load_scenario(scenario)) if name == "paper_expert"]
+    variants = [name for name in list_variants(load_scenario(scenario)) if name in VARIANTS]
     for suite in SUITES:
         for policy in ("random", "expert", *variants):
             if policy == "random" or (scenario, suite) not in UNPLANNED:
@@ -48,7 +51,9 @@ def list_cases(scenario: str) -> Iterator[Case]:
 
 
 def get_id(scenario: str, policy: str) -> str:
-    """Return the id whose promise an episode is: experts are inside the residual environments."""
+    """Return the id whose promise an episode is: the expert is inside the residual environment, variants are not."""
+    if policy in VARIANTS:
+        return f"{scenario} by {policy}-v{VARIANTS[policy]}"
     return gym_id(scenario, residual=policy != "random")
 
 
