@@ -70,21 +70,31 @@ def flatten(seen):
 class Environment(Player):
     """Anything with reset(seed=...) and step(action)."""
 
+    over = False
+
     def __init__(self, env):
         self.env = env
 
     def start(self):
         return self.env.reset(seed=SEED)
 
+    def is_over(self, seen):
+        return isinstance(seen[3], bool) and seen[3]
+
     def draw(self, rng):
         return rng.uniform(-1, 1, self.env.action_space.shape).astype(np.float32)
 
     def step(self, rng):
-        return self.env.step(self.draw(rng))
+        seen = None if self.over else self.env.step(self.draw(rng))
+        self.over = self.over or self.is_over(seen)
+        return seen
 
 
 class Parallel(Environment):
     """A PettingZoo environment."""
+
+    def is_over(self, seen):
+        return not self.env.agents
 
     def draw(self, rng):
         return {name: rng.uniform(-1, 1, self.env.action_space(name).shape) for name in self.env.agents}

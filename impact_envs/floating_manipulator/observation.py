@@ -150,5 +150,5 @@ def read_observations(scenario: FloatingManipulatorScenario, observations: Mappi
 
 
 def _read_heading(cos: float, sin: float) -> float:
-    """Return the angle of a direction; NaN if cos^2 + sin^2 is not about 1 [rad]."""
-    return math.atan2(sin, cos) if abs(cos * cos + sin * sin - 1.0) <= 0.5 else math.nan
+    """Return the angle of a direction; NaN if its length is not about 1 [rad]."""
+    return math.atan2(sin, cos) if abs(math.hypot(cos, sin) - 1.0) <= 0.25 else math.nan

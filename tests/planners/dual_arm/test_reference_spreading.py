@@ -231,7 +231,7 @@ def test_the_expert_knows_only_what_is_believed(tmp_path, monkeypatch):
     monkeypatch.setenv("IMPACT_ENVS_CACHE", str(tmp_path))
     model = DualArmModel(SCENARIO)
     q, v = model.joints()
-    observations = {name: np.concatenate([q[i], v[i], np.zeros(2)]) for i, name in enumerate(SCENARIO.agents)}
+    observations = {name: np.concatenate([q[i], v[i], np.zeros(25)]) for i, name in enumerate(SCENARIO.agents)}
     experts = [DualArmExpert(SCENARIO), DualArmExpert(SCENARIO.as_believed())]
     one, other = (expert.act(observations) for expert in experts)
     for name in SCENARIO.agents:

@@ -137,7 +137,9 @@ def test_takes_single_precision_observations() -> None:
 @pytest.mark.parametrize("shape", [(3, 26), (2, 25), (26,)])
 def test_observations_of_another_shape_are_refused_in_one_line(shape: tuple[int, ...]) -> None:
     batch = FreeFlyerExpertBatch(load("throw_and_catch"), plan_of("throw_and_catch"), 2)
-    with pytest.raises(InputError, match=r"observations have shape \(.*\); \(2, 26\) is needed") as refusal:
+    with pytest.raises(
+        InputError, match=r"observations have shape \(.*\), float64; real numbers of shape \(2, 26\) are needed"
+    ) as refusal:
         batch.act(np.zeros(shape))
     assert "\n" not in str(refusal.value)
 

@@ -24,7 +24,7 @@ from planners.free_flyer.expert import FreeFlyerExpert
 from train.evaluation.case import has_expert, make_cases
 from train.evaluation.evaluate import EvaluationResult, evaluate, evaluate_cases
 from train.evaluation.player import make_policy
-from train.evaluation.replay import episode_to_dict
+from train.evaluation.replay import episode_to_dict, find_replay
 from train.evaluation.results import read_evaluation
 
 TIMES = ["solve_ms", "solve_ms_p50", "solve_ms_p99", "solve_ms_max", "wall_seconds"]
@@ -284,12 +284,20 @@ def test_every_mistyped_field_of_the_journal_is_named(short: Scenario, tmp_path:
             evaluate([short], ("zero",), 1, out=tmp_path, progress=False)
 
 
-def test_replays_of_a_scenario_with_a_path_for_a_name_stay_in_their_folder(short: Scenario, tmp_path: Path) -> None:
-    named = [short.model_copy(update={"name": name}) for name in ("../../escaped", "/escaped", "a/b", "n" * 300)]
-    evaluate(named, ("zero",), 1, out=tmp_path / "deep" / "out", progress=False)
-    assert [path.name for path in tmp_path.iterdir()] == ["deep"]
-    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["out"]
-    assert {replay.scenario for replay in read_evaluation(tmp_path / "deep" / "out").replays} == {s.name for s in named}
+@pytest.mark.parametrize("name", ["../../escaped", "/escaped", "a/b", "n" * 300, "a\0b", "a\nb"])
+def test_a_scenario_with_a_path_for_a_name_is_refused(short: Scenario, tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match="cannot name a file") as refusal:
+        evaluate([short.model_copy(update={"name": name})], ("zero",), 1, out=tmp_path / "out", progress=False)
+    assert "\n" not in str(refusal.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_replays_of_policies_with_a_path_for_a_name_stay_in_their_folder(tmp_path: Path) -> None:
+    names = ("../../escaped", "/escaped", "a/b", "a_b", "n" * 300, "A/B")
+    paths = [find_replay(tmp_path, "corridor", "nominal", name, 1).resolve() for name in names]
+    assert len({str(path).lower() for path in paths}) == len(names)
+    assert len({path.parent for path in paths}) == 1
+    assert all(path.is_relative_to(tmp_path.resolve()) and len(path.name) < 255 for path in paths)
 
 
 def test_a_manifest_without_a_policy_of_the_summary_is_named(short: Scenario, tmp_path: Path) -> None:

@@ -270,7 +270,7 @@ def test_tracker_by_name_argument_and_options() -> None:
     ("tracker", "message"),
     [
         ("mcp", r"tracker 'mcp' is unknown; did you mean 'mpc'\? choices: mpc, lqr, casadi, cvxpy"),
-        (3, "tracker = 3 has no reset and track; choices: mpc, lqr, casadi, cvxpy, or a Tracker"),
+        (3, "tracker = 3 has no reset and track; choices: mpc, lqr, casadi, cvxpy, published, or a Tracker"),
     ],
 )
 def test_unknown_trackers_are_refused(tracker: Any, message: str) -> None:
