@@ -7,8 +7,7 @@ from impact_envs.stl.margin import AreaLike
 from impact_envs.stl.operator import Always, And, Eventually, Implies, Not, Or, Temporal, Until
 from impact_envs.stl.parser import RESERVED, parse
 from impact_envs.stl.predicate import ALL, Distance, In, Linear, Predicate, Speed
-from impact_envs.stl.robustness import robustness, robustness_signal
-from impact_envs.stl.satisfaction import satisfied
+from impact_envs.stl.robustness import robustness, robustness_signal, satisfied
 from impact_envs.stl.trace import Trace
 
 if TYPE_CHECKING:
