@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -43,6 +44,7 @@ def check_finite(states: np.ndarray, bodies: Sequence[str]) -> None:
     Raises:
         NotFinite: naming the first body of which one is not.
     """
-    finite = np.isfinite(states)
-    if not finite.all():
-        raise NotFinite(bodies[int(np.argmin(finite.all(axis=1)))])
+    if not math.isfinite(sum(states.ravel().tolist())):  # seldom: the whole look costs three times as much
+        finite = np.isfinite(states).all(axis=1)
+        if not finite.all():
+            raise NotFinite(bodies[int(np.argmin(finite))])

@@ -113,7 +113,7 @@ class DiscModel:
     def lasting_contacts(self) -> list[LastingContact]:
         """Return what lasting contacts exchanged in the last control period, one record for each pair."""
         held = self._worlds.held[0]
-        if not held.any():
+        if not any(held.ravel().tolist()):
             return []
         found, n = [], len(self.scenario.bodies)
         for (i, j), impulse in zip(self._arena.pairs.tolist(), held, strict=True):
