@@ -14,7 +14,7 @@ from impact_envs.domain import load_attribute
 from impact_envs.errors import InputError
 from impact_envs.failure import NotFinite, TooManyEvents, check_finite
 from impact_envs.free_flyer.pair import EVENTS
-from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.schema import SENSOR_COLUMNS, FreeFlyerScenario
 from impact_envs.free_flyer.sensing import compute_memory_size, count_uniforms, make_sensing
 from impact_envs.free_flyer.step import (
     LEAVE,
@@ -259,7 +259,7 @@ class Batch(BatchViews):
         if len(worlds) == 0:
             return
         uniforms = draw_doubles(self._memory.streams, worlds, self.scenario.draw_count)
-        write_physics(self._worlds, worlds, self.scenario.draw_many(uniforms))
+        write_physics(self._worlds, worlds, self.scenario.draw_many(uniforms), self._memory.sensors)
 
     def _make_worlds(self, count: int) -> tuple[Worlds, Memory]:
         n, r, sensing, dtype, true = self.bodies, self.robots, self._sensing, self.dtype, self.scenario.true
@@ -272,6 +272,7 @@ class Batch(BatchViews):
             signals=states,
             contacts=contacts,
             streams=np.zeros((count, 4), np.uint64),
+            sensors=np.zeros((count, SENSOR_COLUMNS), dtype),
             uniforms=np.zeros((count, drawn)),
             samples=np.zeros((count, kept), dtype),
             measured=states if ideal else np.zeros_like(states),

@@ -14,7 +14,7 @@ from impact_envs.free_flyer.hits import resolve_impacts
 from impact_envs.free_flyer.impulse import add_held_impulses
 from impact_envs.free_flyer.pair import CONTACT_STEP, EVENTS, REST_GAP, SIMULTANEOUS
 from impact_envs.free_flyer.resting import add_contact_forces, clear_rest, find_resting
-from impact_envs.free_flyer.schema import DRIFT_X, DRIFT_Y, INERTIA, MASS, OFFSET_X, OFFSET_Y
+from impact_envs.free_flyer.schema import DRIFT_X, DRIFT_Y, FADE, INERTIA, MASS, OFFSET_X, OFFSET_Y, TURN
 from impact_envs.free_flyer.touch import find_touch
 from impact_envs.free_flyer.worlds import (
     ACCELERATION,
@@ -67,9 +67,11 @@ def step_world(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, 
         if i < arena.robots:
             apply_command(arena, worlds, scratch, c, k, i)
         else:
-            drifts = worlds.body.shape[2] > DRIFT_X
-            scratch.motion[c, i, HELD] = worlds.body[k, i, DRIFT_X] if drifts else 0.0
-            scratch.motion[c, i, HELD + 1] = worlds.body[k, i, DRIFT_Y] if drifts else 0.0
+            ax, ay = 0.0, 0.0
+            if worlds.body.shape[2] > DRIFT_X:
+                body = worlds.body[k, i]
+                ax, ay = turn_drift(body[DRIFT_X], body[DRIFT_Y], body[TURN], worlds.counter[k, STEPS], arena.period)
+            scratch.motion[c, i, HELD], scratch.motion[c, i, HELD + 1] = ax, ay
             scratch.motion[c, i, HELD + 2] = 0.0
             if worlds.body.shape[2] > SINCE and arena.discs[i, LIMIT] > 0.0:
                 ax, ay = keep_velocity(arena, worlds, k, i, was_hit)
@@ -112,6 +114,35 @@ def step_alone(
     read_states(worlds, 0, states)
 
 
+@compiled
+def turn_drift(x: float, y: float, rate: float, steps: int, period: float) -> tuple[float, float]:
+    """Return an object's drift over the control period after so many others, as it is in the middle of it [m/s^2].
+
+    Args:
+        x, y: at the start of the episode [m/s^2].
+        rate: at which its direction turns [rad/s].
+        steps: control periods since then.
+        period: [s].
+    """
+    if rate == 0.0:
+        return x, y
+    angle = rate * (steps + 0.5) * period
+    cos, sin = math.cos(angle), math.sin(angle)
+    return cos * x - sin * y, sin * x + cos * y
+
+
+@compiled
+def fade_thruster(gain: float, loss: float, time: float) -> float:
+    """Return true over commanded force of a thruster at a time, gain (1 - loss time), never below zero.
+
+    Args:
+        gain: at the start of the episode.
+        loss: share of it that is lost per second [1/s].
+        time: since then [s].
+    """
+    return gain * max(1.0 - loss * time, 0.0)
+
+
 @inlined
 def apply_command(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, i: int) -> None:
     """Turn robot i's command into accelerations; the force turns with the heading of mid-period free flight."""
@@ -121,9 +152,11 @@ def apply_command(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int
         fx = quantise_force(worlds, k, i, 0, fx, arena.discs[i, LIMIT])
         fy = quantise_force(worlds, k, i, 1, fy, arena.discs[i, LIMIT + 1])
     if worlds.thruster.shape[1] > 0:
-        fx *= worlds.thruster[k, i, 0 if fx >= 0 else 1]
-        fy *= worlds.thruster[k, i, 2 if fy >= 0 else 3]
-        tau *= worlds.thruster[k, i, 4 if tau >= 0 else 5]
+        thruster, time = worlds.thruster[k, i], worlds.counter[k, STEPS] * arena.period
+        x, y, turn = 0 if fx >= 0 else 1, 2 if fy >= 0 else 3, 4 if tau >= 0 else 5
+        fx *= fade_thruster(thruster[x], thruster[FADE + x], time)
+        fy *= fade_thruster(thruster[y], thruster[FADE + y], time)
+        tau *= fade_thruster(thruster[turn], thruster[FADE + turn], time)
     if worlds.body.shape[2] > OFFSET_X:
         tau -= worlds.body[k, i, OFFSET_X] * fy - worlds.body[k, i, OFFSET_Y] * fx
     alpha = tau / worlds.body[k, i, INERTIA]

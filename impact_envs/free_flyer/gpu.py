@@ -179,7 +179,13 @@ class GpuBatch(BatchViews):
         doubles = draw_doubles(streams, np.arange(count), self.scenario.draw_count)
         self._write_streams(worlds, streams)
         drawn = self.scenario.draw_many(doubles)
-        write_physics(self._worlds, worlds, drawn, lambda array, tensor: torch.from_numpy(array).to(tensor))
+        write_physics(
+            self._worlds,
+            worlds,
+            drawn,
+            self._memory.sensors,
+            lambda array, tensor: torch.from_numpy(array).to(tensor),
+        )
 
     def _write_streams(self, worlds: torch.Tensor, streams: np.ndarray) -> None:
         # torch indexes few unsigned types

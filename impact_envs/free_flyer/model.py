@@ -16,6 +16,7 @@ import numpy as np
 from impact_envs.errors import InputError, choices
 from impact_envs.failure import TooManyEvents
 from impact_envs.free_flyer.body import Body, make_obstacle, make_walls
+from impact_envs.free_flyer.engine import fade_thruster, turn_drift
 from impact_envs.free_flyer.lasting_contact import ContactSolver
 from impact_envs.free_flyer.pair import (
     CONTACT_STEP,
@@ -36,6 +37,7 @@ from impact_envs.free_flyer.pair import (
 from impact_envs.free_flyer.schema import (
     DRIFT_X,
     DRIFT_Y,
+    FADE,
     FRICTION,
     INERTIA,
     MASS,
@@ -43,6 +45,7 @@ from impact_envs.free_flyer.schema import (
     OFFSET_Y,
     RESTITUTION,
     RESTITUTION_SPEED,
+    TURN,
     FreeFlyerScenario,
     Physics,
 )
@@ -88,7 +91,7 @@ class FreeFlyerModel:
         self._steps = 0
         self._held: dict[Pair, np.ndarray] = {}
         self._owed = {name: [0.0, 0.0] for name in self.scenario.robots}
-        self._gains = dict(zip(self.scenario.robots, physics.thruster.reshape(-1, 3, 2), strict=True))
+        self._gains = dict(zip(self.scenario.robots, physics.thruster.tolist(), strict=True))
         self._bodies = [self._make_body(name) for name in self.scenario.bodies] + self._fixed
         self._movable = self._bodies[: len(self.scenario.bodies)]
         self._robots = {name: self._bodies[i] for i, name in enumerate(self.scenario.robots)}
@@ -146,6 +149,8 @@ class FreeFlyerModel:
             raise InputError(f"controls must name every robot once, not so: {wrong}; {choices(wrong, self._robots)}")
         for name, control in controls.items():
             self._apply_command(name, control)
+        for index in range(len(self._robots), len(self._movable)):
+            self._apply_drift(index)
         self._held = {}
         impacts = self._advance_period(self.scenario.control_period)
         self._steps += 1
@@ -172,9 +177,13 @@ class FreeFlyerModel:
             (row[OFFSET_X], row[OFFSET_Y]),
             row[MASS],
             row[INERTIA],
-            ax=row[DRIFT_X],
-            ay=row[DRIFT_Y],
         )
+
+    def _apply_drift(self, index: int) -> None:
+        """Set the acceleration that an object has by itself over the coming control period."""
+        body, row = self._bodies[index], self.physics.body[index].tolist()
+        period = self.scenario.control_period
+        body.ax, body.ay = turn_drift(row[DRIFT_X], row[DRIFT_Y], row[TURN], self._steps, period)
 
     def _apply_command(self, name: str, control: np.ndarray) -> None:
         """Turn a command into the accelerations held over the coming control period."""
@@ -186,7 +195,11 @@ class FreeFlyerModel:
         command = [min(max(u, -limit), limit) for u, limit in zip(command, limits, strict=True)]
         if self.physics.true.thruster_on_off:
             command[:2] = self._quantise_force(name, command, table.force_limit)
-        fx, fy, tau = (float(u * gain[k, 0 if u >= 0 else 1]) for k, u in enumerate(command))
+        used = [2 * k + (0 if u >= 0 else 1) for k, u in enumerate(command)]
+        fx, fy, tau = (
+            u * fade_thruster(gain[place], gain[FADE + place], self.time)
+            for u, place in zip(command, used, strict=True)
+        )
         # The lever of the force about the true centre of mass.
         tau -= body.offset[0] * fy - body.offset[1] * fx
         period = self.scenario.control_period

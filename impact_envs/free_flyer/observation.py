@@ -48,12 +48,13 @@ class Sensors:
 
         Args:
             physics: says what the sensors are like.
-            rng: the episode's generator; with noise, every sample takes two doubles per body from it.
+            rng: the episode's generator; every sample takes as many doubles from it as ``count_uniforms`` says.
         """
         sensing = make_sensing(self._period, physics.true)
         self._sensing, self._rng, self._samples = tuple(sensing), rng, 0
         self._uniforms = np.zeros((1, count_uniforms(sensing, self._bodies)))
         self._memory = np.zeros((1, compute_memory_size(sensing, self._bodies, self._robots)))
+        self._drawn = physics.sensor[None].astype(float)
         self._ideal = self._memory.size + self._uniforms.size == 0
 
     def measure(self, states: np.ndarray, contacts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -72,7 +73,7 @@ class Sensors:
         if self._uniforms.size:
             self._rng.random(out=self._uniforms)
         measured, felt = np.empty((1, self._bodies, STATE_SIZE)), np.empty((1, self._robots))
-        world = (states[None], contacts[None], self._uniforms, self._memory, measured, felt)
+        world = (states[None], contacts[None], self._drawn, self._uniforms, self._memory, measured, felt)
         sample_alone(self._sensing, self._samples, *world)
         self._samples += 1
         return measured[0], felt[0]

@@ -37,6 +37,7 @@ SIDE = Uniform(uniform=(-1.0, 1.0))
 
 # Bodies may overlap by this share of their radii at the start: decimal numbers that make them touch are rounded.
 TOUCHING = 1e-9
+MOST_DELAY = 50  # [control periods]
 # The slowest speed limit over this, and at most this [m/s], is the default of World.rest_speed.
 REST_FRACTION, MOST_REST_SPEED = 2000.0, 1e-4
 
@@ -44,10 +45,14 @@ REST_FRACTION, MOST_REST_SPEED = 2000.0, 1e-4
 # constant e; Coulomb coefficient.
 RESTITUTION, RESTITUTION_SPEED, FRICTION, CONTACT_COLUMNS = range(4)
 # Columns of Physics.body: mass [kg], inertia [kg m^2], centre of mass in the body frame from the geometric centre [m],
-# constant acceleration [m/s^2], start from where the scenario says [m].
-MASS, INERTIA, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y, START_X, START_Y, BODY_COLUMNS = range(9)
-# Columns of Physics.thruster: true over commanded force, positive and negative per channel Fx, Fy, torque.
-GAIN, THRUSTER_COLUMNS = 0, 6
+# acceleration at the start [m/s^2], start from where the scenario says [m], rate at which the acceleration turns
+# [rad/s].
+MASS, INERTIA, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y, START_X, START_Y, TURN, BODY_COLUMNS = range(10)
+# Columns of Physics.thruster, each positive and negative per channel Fx, Fy, torque: true over commanded force at the
+# start; share of it that is lost per second [1/s].
+GAIN, FADE, THRUSTER_COLUMNS = 0, 6, 12
+# Columns of Physics.sensor: control periods between event and observation; how often readings are lost [1/s].
+DELAY, DROPOUT, SENSOR_COLUMNS = range(3)
 
 
 class World(Box):
@@ -130,11 +135,13 @@ class Drawn(NamedTuple):
         per: drawn anew for every ``world``, ``robot`` or ``object``.
         beside: what else is drawn each time, after it, for example a direction.
         spare: nothing is drawn beside it where it is zero.
+        whole: a whole number, each from the least to the greatest equally likely.
     """
 
     per: Literal["world", "robot", "object"] = "world"
     beside: tuple[Uniform, ...] = ()
     spare: bool = False
+    whole: bool = False
 
 
 def smallest(quantity: Quantity) -> float:
@@ -165,6 +172,13 @@ def _at_most_one(quantity: Quantity) -> Quantity:
     return quantity
 
 
+def _whole_steps(quantity: int | Uniform) -> int | Uniform:
+    ends = quantity.uniform if isinstance(quantity, Uniform) else (quantity,)
+    if not all(end == int(end) and 0 <= end <= MOST_DELAY for end in ends):
+        raise ValueError(f"must be whole numbers from 0 to {MOST_DELAY}")
+    return quantity
+
+
 Size = Annotated[Quantity, AfterValidator(_at_least_zero)]
 Scale = Annotated[Quantity, AfterValidator(_above_zero)]
 Share = Annotated[Restitution | Uniform, AfterValidator(_at_least_zero), AfterValidator(_at_most_one)]
@@ -188,11 +202,20 @@ class Truth(Table):
     weak_thruster: Annotated[Size, Drawn("world", (SHARE, SHARE, SHARE))] = 1.0
     # An object starts anywhere in its box of start_uncertainty: 1 in all of it, 0 at its centre.
     start_spread: Annotated[Share, Drawn("object", (SIDE, SIDE), spare=True)] = 0.0
+    drift_turn: Annotated[Quantity, Drawn("object")] = 0.0  # rate at which the drift's direction turns [rad/s]
+    # Share of its force that one thruster of each robot, along x or y, positive or negative, loses evenly by the
+    # horizon.
+    thruster_fade: Annotated[Share, Drawn("robot", (SHARE, SHARE), spare=True)] = 0.0
+    # Control periods between event and observation.
+    delay_steps: Annotated[int | Uniform, AfterValidator(_whole_steps), Drawn(whole=True)] = 0
+    # How often all readings of bodies are lost on their way, for `dropout_seconds`: the last ones that arrived are
+    # repeated. Felt impacts are the robots' own and arrive [1/s].
+    dropout_rate: Annotated[Size, Drawn()] = 0.0
 
+    dropout_seconds: Positive = 1.0  # [s]
     thruster_on_off: bool = False  # thrusters are off or full at the control rate
     position_noise: NonNegative = 0.0  # standard deviation per axis [m]
     velocity_measured: bool = True  # otherwise velocity is a filtered difference of positions
-    delay_steps: Annotated[int, Field(ge=0, le=50)] = 0  # control periods between event and observation
 
     @property
     def moves_bodies(self) -> bool:
@@ -202,7 +225,9 @@ class Truth(Table):
     @property
     def changes_thrusters(self) -> bool:
         """Return whether in any world a thruster does not do as it is told."""
-        return any(getattr(self, name) != 1.0 for name in ("thruster_gain", "weak_thruster"))
+        return self.thruster_fade != 0.0 or any(
+            getattr(self, name) != 1.0 for name in ("thruster_gain", "weak_thruster")
+        )
 
 
 class Physics(NamedTuple):
@@ -212,14 +237,16 @@ class Physics(NamedTuple):
 
     Attributes:
         contact: shape (3,).
-        body: shape (n, 8); what is not mass or inertia is zero for robots.
-        thruster: shape (robots, 6).
+        body: shape (n, 9); what is not mass or inertia is zero for robots.
+        thruster: shape (robots, 12).
+        sensor: shape (2,).
         true: what is not drawn.
     """
 
     contact: np.ndarray
     body: np.ndarray
     thruster: np.ndarray
+    sensor: np.ndarray
     true: Truth
 
 
@@ -300,7 +327,7 @@ class FreeFlyerScenario(Scenario):
             The numbers of one episode.
         """
         drawn = self.draw_many(rng.random((1, self.draw_count)))
-        return Physics(drawn.contact[0], drawn.body[0], drawn.thruster[0], self.true)
+        return Physics(drawn.contact[0], drawn.body[0], drawn.thruster[0], drawn.sensor[0], self.true)
 
     def draw_many(self, uniforms: np.ndarray) -> Physics:
         """Turn uniform numbers into true worlds, one per row; a world does not depend on the others.
@@ -327,12 +354,25 @@ class FreeFlyerScenario(Scenario):
             spread = drawn["start_spread"].reshape(worlds, n - robots, 3)
             halves = np.array([item.start_uncertainty for item in self.objects.values()]).reshape(-1, 2)
             body[:, robots:, START_X : START_Y + 1] = spread[:, :, :1] * spread[:, :, 1:] * halves
-        gains = np.empty((worlds, robots, 3, 2))
+        body[:, robots:, TURN] = drawn["drift_turn"]
+        sensor = np.empty((worlds, SENSOR_COLUMNS))
+        sensor[:, DELAY] = np.minimum(np.floor(drawn["delay_steps"][:, 0]), largest(self.true.delay_steps))
+        sensor[:, DROPOUT] = drawn["dropout_rate"][:, 0]
+        return Physics(contact, body, self._draw_thrusters(drawn), sensor, self.true)
+
+    def _draw_thrusters(self, drawn: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return ``Physics.thruster`` of N worlds."""
+        worlds, robots = drawn["thruster_gain"].shape
+        gains, fades = np.empty((worlds, robots, 3, 2)), np.zeros((worlds, robots, 3, 2))
         gains[:] = drawn["thruster_gain"][:, :, None, None]
         weakest, which = np.split(drawn["weak_thruster"], (1,), axis=1)
         robot, channel, sign = (which * (robots, 2, 2)).astype(int).T
         gains[np.arange(worlds), robot, channel, sign] *= weakest[:, 0]
-        return Physics(contact, body, gains.reshape(worlds, robots, THRUSTER_COLUMNS), self.true)
+        if self.true.thruster_fade != 0.0:
+            lost, *which = np.moveaxis(drawn["thruster_fade"].reshape(worlds, robots, 3), 2, 0)
+            channel, sign = (2 * np.array(which)).astype(int)
+            fades[np.arange(worlds)[:, None], np.arange(robots), channel, sign] = lost / self.horizon
+        return np.concatenate([part.reshape(worlds, robots, -1) for part in (gains, fades)], axis=2)
 
     def _list_drawn(self) -> dict[str, tuple[Quantity, ...]]:
         """Return what a true world is made of, by field of `Truth` in the order of drawing."""
@@ -343,6 +383,9 @@ class FreeFlyerScenario(Scenario):
                 if isinstance(how, Drawn):
                     value = getattr(self.true, name)
                     quantity = getattr(self.believed, name) if value is None else value
+                    if how.whole and isinstance(quantity, Uniform):
+                        low, high = quantity.uniform
+                        quantity = Uniform(uniform=(low, high + 1))
                     beside = () if how.spare and quantity == 0.0 else how.beside
                     drawn[name] = (quantity, *beside) * counts[how.per]
         return drawn

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
-from impact_envs.free_flyer.schema import Truth
+from impact_envs.free_flyer.schema import DELAY, DROPOUT, Truth, largest
 from impact_envs.stream import normal_pair
 
 # What is observed of a body, in order; and what comes after all bodies: contacts, then these.
@@ -35,13 +35,15 @@ class Sensing(NamedTuple):
         period: control period [s].
         noise: standard deviation of positions per axis [m].
         velocity_measured: False when velocity is a filtered difference of positions.
-        delay_steps: control periods between event and observation.
+        delay_steps: control periods between event and observation, at most.
+        lost_steps: control periods that a loss of readings lasts, 0 where none is ever lost.
     """
 
     period: float
     noise: float
     velocity_measured: bool
     delay_steps: int
+    lost_steps: int = 0
 
 
 def make_sensing(period: float, true: Truth) -> Sensing:
@@ -51,23 +53,26 @@ def make_sensing(period: float, true: Truth) -> Sensing:
         period: control period [s].
         true: its table.
     """
-    return Sensing(float(period), float(true.position_noise), true.velocity_measured, true.delay_steps)
+    lost = 0 if true.dropout_rate == 0.0 else max(round(true.dropout_seconds / period), 1)
+    delay = int(largest(true.delay_steps))
+    return Sensing(float(period), float(true.position_noise), true.velocity_measured, delay, lost)
 
 
 def compute_memory_size(sensing: Sensing, bodies: int, robots: int) -> int:
-    """Return how many numbers ``take_sample`` remembers per world: the velocity window, then the delay line.
+    """Return how many numbers ``take_sample`` remembers per world: velocity window, delay line, what arrived last.
 
     Args:
-        sensing: without velocity measurement the window is kept, with a delay the delay line.
+        sensing: without velocity measurement the window is kept, with a delay the delay line, with losses what arrived.
         bodies, robots: how many.
     """
     window = 0 if sensing.velocity_measured else 2 * bodies * VELOCITY_WINDOW
-    return window + sensing.delay_steps * (STATE_SIZE * bodies + robots)
+    arrived = 1 + STATE_SIZE * bodies if sensing.lost_steps > 0 else 0
+    return window + sensing.delay_steps * (STATE_SIZE * bodies + robots) + arrived
 
 
 def count_uniforms(sensing: Sensing, bodies: int) -> int:
-    """Return how many uniform numbers ``take_sample`` reads per world: two per body with noise."""
-    return 2 * bodies if sensing.noise > 0 else 0
+    """Return how many uniform numbers ``take_sample`` reads per world: two per body with noise, one with losses."""
+    return (2 * bodies if sensing.noise > 0 else 0) + (1 if sensing.lost_steps > 0 else 0)
 
 
 @inlined
@@ -77,6 +82,7 @@ def take_sample(
     sample: int,
     states: np.ndarray,
     contacts: np.ndarray,
+    sensors: np.ndarray,
     uniforms: np.ndarray,
     memory: np.ndarray,
     measured: np.ndarray,
@@ -85,11 +91,12 @@ def take_sample(
     """Take one sample of world k; call once per control step.
 
     Args:
-        sensing: noise, velocity and delay.
+        sensing: noise, velocity, delay and losses.
         k: world.
         sample: number of the sample, 0 at the start of the episode.
         states: true [x, y, vx, vy, heading, omega] of all bodies, shape (worlds, bodies, 6).
         contacts: which robots felt an impact, shape (worlds, robots), 0 or 1.
+        sensors: as ``Physics.sensor``, shape (worlds, 2).
         uniforms: in [0, 1), shape (worlds, ``count_uniforms``).
         memory: shape (worlds, ``compute_memory_size``), changed in place.
         measured: takes the measured states, as old as the delay (the first ones until then), shape (worlds, bodies, 6).
@@ -109,7 +116,11 @@ def take_sample(
         _differentiate(sensing, k, sample, memory, measured)
         start = 2 * states.shape[1] * VELOCITY_WINDOW
     if sensing.delay_steps > 0:
-        _delay(sensing, k, sample, memory, start, measured, felt)
+        _delay(sensing, k, sample, int(sensors[k, DELAY]), memory, start, measured, felt)
+        start += sensing.delay_steps * (STATE_SIZE * states.shape[1] + contacts.shape[1])
+    if sensing.lost_steps > 0:
+        is_loss = uniforms[k, uniforms.shape[1] - 1] < sensors[k, DROPOUT] * sensing.period
+        _lose(sensing, k, sample, is_loss, memory, start, measured)
 
 
 @compiled
@@ -118,13 +129,14 @@ def sample_alone(
     sample: int,
     states: np.ndarray,
     contacts: np.ndarray,
+    sensors: np.ndarray,
     uniforms: np.ndarray,
     memory: np.ndarray,
     measured: np.ndarray,
     felt: np.ndarray,
 ) -> None:
     """``take_sample`` of world 0 for Python, which hands over a plain tuple faster than a NamedTuple."""
-    take_sample(Sensing(*sensing), 0, sample, states, contacts, uniforms, memory, measured, felt)
+    take_sample(Sensing(*sensing), 0, sample, states, contacts, sensors, uniforms, memory, measured, felt)
 
 
 @inlined
@@ -152,17 +164,18 @@ def _delay(
     sensing: Sensing,
     k: int,
     sample: int,
+    delay: int,
     memory: np.ndarray,
     start: int,
     measured: np.ndarray,
     felt: np.ndarray,
 ) -> None:
-    """Exchange a sample for the one of a delay ago, or for the first one."""
+    """Exchange a sample for the one of a delay ago, or for the first one; the line holds the longest delay."""
     bodies, robots = measured.shape[1], felt.shape[1]
     size = STATE_SIZE * bodies + robots
     newest = start + size * (sample % sensing.delay_steps)
-    oldest = newest if sample >= sensing.delay_steps else start
-    first = sample == 0
+    oldest = start + size * (max(sample - delay, 0) % sensing.delay_steps)
+    first = sample == 0 or delay == 0
     for i in range(bodies):
         for j in range(STATE_SIZE):
             at = STATE_SIZE * i + j
@@ -174,6 +187,29 @@ def _delay(
         contact = felt[k, r]
         felt[k, r] = contact if first else memory[k, oldest + at]
         memory[k, newest + at] = contact
+
+
+@inlined
+def _lose(
+    sensing: Sensing, k: int, sample: int, is_loss: bool, memory: np.ndarray, start: int, measured: np.ndarray
+) -> None:
+    """Repeat the last sample that arrived while readings are lost; the first one always arrives.
+
+    Args:
+        is_loss: whether a loss begins with this sample, if none goes on.
+        start: where the memory holds how many samples are still lost, and behind it the last one that arrived.
+    """
+    left = int(memory[k, start]) if sample > 0 else 0
+    if left == 0 and is_loss and sample > 0:
+        left = sensing.lost_steps
+    memory[k, start] = max(left - 1, 0)
+    for i in range(measured.shape[1]):
+        for j in range(STATE_SIZE):
+            at = start + 1 + STATE_SIZE * i + j
+            if left > 0:
+                measured[k, i, j] = memory[k, at]
+            else:
+                memory[k, at] = measured[k, i, j]
 
 
 @compiled

@@ -65,8 +65,9 @@ class Memory(NamedTuple):
         signals: the same numbers, shape (N, 6 n).
         contacts: which robots felt an impact, shape (N, r).
         streams: random streams, shape (N, 4) uint64.
-        uniforms: drawn for the noise of a sample, shape (N, 2 n), or (N, 0) without noise.
-        samples: velocity window and delay line, shape (N, ...).
+        sensors: as ``Physics.sensor``, shape (N, 2).
+        uniforms: drawn for the noise and loss of a sample, shape (N, ``count_uniforms``).
+        samples: velocity window, delay line and what arrived last, shape (N, ...).
         measured, felt: states and contacts as measured; of ideal sensors ``states`` and ``contacts`` themselves.
         monitor: of the formula, shape (N, ...).
         bounds: interval of robustness still possible, shape (N, 2) [m].
@@ -77,6 +78,7 @@ class Memory(NamedTuple):
     signals: np.ndarray
     contacts: np.ndarray
     streams: np.ndarray
+    sensors: np.ndarray
     uniforms: np.ndarray
     samples: np.ndarray
     measured: np.ndarray
@@ -218,6 +220,7 @@ def observe(worlds: Worlds, sensing: Sensing, rules: Rules, memory: Memory, outp
             worlds.counter[k, STEPS],
             memory.states,
             memory.contacts,
+            memory.sensors,
             memory.uniforms,
             memory.samples,
             memory.measured,

@@ -83,9 +83,9 @@ class Worlds(NamedTuple):
     Attributes:
         state: x, y, vx, vy of the centres of mass, heading, omega, felt impact, shape (N, n, 7) [m], [m/s], [rad],
             [rad/s].
-        body: as ``Physics.body``, shape (N, n, 8); mass and inertia only where that is all, 13 columns where objects
+        body: as ``Physics.body``, shape (N, n, 9); mass and inertia only where that is all, 14 columns where objects
             keep their velocity.
-        thruster: as ``Physics.thruster`` and two more, shape (N, robots, 8), or no robots where all thrusters do as
+        thruster: as ``Physics.thruster`` and two more, shape (N, robots, 14), or no robots where all thrusters do as
             they are told.
         contact: as ``Physics.contact``, shape (N, 3).
         held: impulse on the second body of each pair by lasting contacts in the last control period, shape
@@ -172,20 +172,29 @@ def make_worlds(
     )
 
 
-def write_physics(worlds: Any, chosen: Any, physics: Physics, convert: Callable[[Any, Any], Any] | None = None) -> None:
+def write_physics(
+    worlds: Any,
+    chosen: Any,
+    physics: Physics,
+    sensors: Any = None,
+    convert: Callable[[Any, Any], Any] | None = None,
+) -> None:
     """Put drawn physics into some worlds; columns that no world of the scenario needs are left out.
 
     Args:
         worlds: `Worlds` of arrays or of tensors.
         chosen: the worlds' numbers, shape (m,).
         physics: of m worlds.
+        sensors: takes what is drawn of the sensors, shape (N, 2); None where nobody measures.
         convert: turns what is drawn into what can be written to an array of the worlds, its second argument.
     """
-    pairs = (
+    pairs = [
         (worlds.contact, physics.contact),
         (worlds.body, physics.body),
         (worlds.thruster, physics.thruster),
-    )
+    ]
+    if sensors is not None:
+        pairs.append((sensors, physics.sensor))
     for kept, drawn in pairs:
         if kept.shape[1] > 0:
             width = min(kept.shape[-1], drawn.shape[-1])

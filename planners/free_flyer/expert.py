@@ -174,9 +174,13 @@ class FreeFlyerExpert:
                 self.table = table
                 self._run(ADOPT)
         begin = time.perf_counter()
-        join_observations(self._scenario, observations, self._joint[0])
+        self._join(observations)
         self._run(OBSERVE)
         self._seconds = time.perf_counter() - begin
+
+    def _join(self, observations: Mapping[str, np.ndarray]) -> None:
+        """Write what is measured once."""
+        join_observations(self._scenario, observations, self._joint[0])
 
     @property
     def awaiting_correction(self) -> bool:

@@ -93,14 +93,7 @@ class FreeFlyerExpertBatch:
         Raises:
             InputError: observations of another shape.
         """
-        needed = f"real numbers of shape ({self.count}, {self.size}) are needed"
-        try:
-            joint = np.asarray(observations)
-        except (ValueError, TypeError):  # of different lengths
-            raise InputError(f"observations: {needed}") from None
-        if joint.shape != (self.count, self.size) or joint.dtype.kind not in REAL:
-            raise InputError(f"observations have shape {joint.shape}, {joint.dtype}; {needed}")
-        joint = np.ascontiguousarray(joint, dtype=np.float64)
+        joint = self._check(observations)
         actions = np.empty((self.count, self.robots, 3))
         for k in np.flatnonzero((joint[:, self._clock] == 0.0) & joint[:, [COS, SIN]].any(axis=1)).tolist():  # starts
             self._own.pop(k, None)
@@ -127,6 +120,17 @@ class FreeFlyerExpertBatch:
             self._pool = self._pool or ThreadPoolExecutor(self._threads)
             list(self._pool.map(share, range(self._threads)))
         return actions.reshape(self.count, -1)
+
+    def _check(self, observations: np.ndarray) -> np.ndarray:
+        """Return observations as float64, or raise InputError."""
+        needed = f"real numbers of shape ({self.count}, {self.size}) are needed"
+        try:
+            joint = np.asarray(observations)
+        except (ValueError, TypeError):  # of different lengths
+            raise InputError(f"observations: {needed}") from None
+        if joint.shape != (self.count, self.size) or joint.dtype.kind not in REAL:
+            raise InputError(f"observations have shape {joint.shape}, {joint.dtype}; {needed}")
+        return np.ascontiguousarray(joint, dtype=np.float64)
 
     def _run(
         self, table: PlanTable, joint: np.ndarray, actions: np.ndarray, phase: int, thread: int, first: int, end: int

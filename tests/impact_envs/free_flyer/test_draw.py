@@ -9,6 +9,7 @@ from impact_envs import InputError, list_scenarios, load_scenario, parallel_env,
 from impact_envs.free_flyer.schema import (
     DRIFT_X,
     DRIFT_Y,
+    FADE,
     FRICTION,
     INERTIA,
     MASS,
@@ -18,10 +19,11 @@ from impact_envs.free_flyer.schema import (
     RESTITUTION_SPEED,
     START_X,
     START_Y,
+    TURN,
 )
 from impact_envs.stream import draw_doubles, seed_streams
 
-TABLES = ("contact", "body", "thruster")
+TABLES = ("contact", "body", "thruster", "sensor")
 
 EVERYTHING = {
     "true.restitution": {"uniform": [0.3, 0.9]},
@@ -33,6 +35,10 @@ EVERYTHING = {
     "true.drift": {"uniform": [0.0, 1e-3]},
     "true.thruster_gain": {"uniform": [0.8, 1.1]},
     "true.weak_thruster": {"uniform": [0.3, 0.7]},
+    "true.drift_turn": {"uniform": [-0.1, 0.1]},
+    "true.thruster_fade": {"uniform": [0.2, 0.8]},
+    "true.delay_steps": {"uniform": [1, 4]},
+    "true.dropout_rate": {"uniform": [0.0, 0.1]},
 }
 PLANAR = [name for name in list_scenarios() if load_scenario(name).domain == "free_flyer"]
 
@@ -89,7 +95,16 @@ def test_order_of_draws():
             expected = np.full((3, 2), gain)
             if i == which[0]:
                 expected[which[1], which[2]] *= weakest
-            assert np.array_equal(physics.thruster[i], expected.ravel())
+            assert np.array_equal(physics.thruster[i, :FADE], expected.ravel())
+        for name in scenario.objects:
+            assert bodies[name][TURN] == -0.1 + 0.2 * rng.random()
+        for i in range(len(gains)):
+            lost, which = rng.uniform(0.2, 0.8), (2 * rng.random(2)).astype(int)
+            expected = np.zeros((3, 2))
+            expected[which[0], which[1]] = lost / scenario.horizon
+            assert np.array_equal(physics.thruster[i, FADE:], expected.ravel())
+        assert physics.sensor[0] == 1 + math.floor(4 * rng.random())
+        assert physics.sensor[1] == rng.uniform(0.0, 0.1)
 
 
 def test_count_of_draws():
@@ -101,12 +116,33 @@ def test_count_of_draws():
 
 def test_one_force_of_one_robot_is_weak():
     scenario = load_scenario("crew").override({"true.weak_thruster": 0.5})
-    gains = draw_rows(scenario, range(4000))[0].thruster.reshape(4000, -1, 3, 2)
+    gains = draw_rows(scenario, range(4000))[0].thruster[:, :, :FADE].reshape(4000, -1, 3, 2)
     assert np.array_equal(np.sum(gains == 0.5, axis=(1, 2, 3)), np.ones(4000))
     counts = np.sum(gains == 0.5, axis=0)
     assert not np.any(counts[:, 2])  # never the torque
     expected = 4000 / (len(scenario.robots) * 4)
     assert np.all(np.abs(counts[:, :2] - expected) < 5 * np.sqrt(expected))
+
+
+def test_every_delay_is_equally_likely():
+    scenario = load_scenario("throw_and_catch").override({"true.delay_steps": {"uniform": [1, 4]}})
+    delays = draw_rows(scenario, range(4000))[0].sensor[:, 0]
+    assert np.all(np.abs([np.sum(delays == steps) for steps in (1, 2, 3, 4)] - np.full(4, 1000)) < 5 * math.sqrt(1000))
+    largest = scenario.draw_many(np.full((1, scenario.draw_count), 1 - 2**-53))
+    assert largest.sensor[0, 0] == 4
+
+
+@pytest.mark.parametrize("delay", [{"uniform": [1, 2.5]}, {"uniform": [0, 51]}, 51, -1, 1.5])
+def test_delays_are_whole_numbers_of_periods(delay):
+    with pytest.raises(InputError, match="delay_steps"):
+        load_scenario("throw_and_catch").override({"true.delay_steps": delay})
+
+
+def test_one_thruster_of_every_robot_fades():
+    scenario = load_scenario("crew").override({"true.thruster_fade": 0.5})
+    fades = draw_rows(scenario, range(400))[0].thruster[:, :, FADE:].reshape(400, -1, 3, 2)
+    assert np.array_equal(np.sum(fades == 0.5 / scenario.horizon, axis=(2, 3)), np.ones(fades.shape[:2]))
+    assert not np.any(fades[:, :, 2])  # never the torque
 
 
 def test_robots_neither_drift_nor_lean():
@@ -134,6 +170,19 @@ def test_an_object_starts_anywhere_in_its_box():
         :, robots:, START_X : START_Y + 1
     ]
     np.testing.assert_allclose(half[:, 0], starts[:10, robots] / 2, rtol=1e-12)
+
+
+def test_what_is_not_asked_for_draws_nothing():
+    """Worlds of earlier versions are the same: new draws come last, and only where asked for."""
+    scenario = load_scenario("throw_and_catch").suite("all")
+    new = ("true.drift_turn", "true.thruster_fade", "true.delay_steps", "true.dropout_rate")
+    more = scenario.override({name: EVERYTHING[name] for name in new})
+    assert more.draw_count == scenario.draw_count + 1 + 3 * len(scenario.robots) + 2
+    uniforms = np.random.default_rng(0).random((5, more.draw_count))
+    old, drawn = scenario.draw_many(uniforms[:, : scenario.draw_count]), more.draw_many(uniforms)
+    assert np.array_equal(drawn.contact, old.contact)
+    assert np.array_equal(drawn.body[:, :, :TURN], old.body[:, :, :TURN])
+    assert np.array_equal(drawn.thruster[:, :, :FADE], old.thruster[:, :, :FADE])
 
 
 def test_without_a_spread_nothing_more_is_drawn():

@@ -13,6 +13,7 @@ from impact_envs.free_flyer.model import FreeFlyerModel
 from impact_envs.free_flyer.schema import (
     DRIFT_X,
     DRIFT_Y,
+    FADE,
     FRICTION,
     INERTIA,
     MASS,
@@ -22,6 +23,7 @@ from impact_envs.free_flyer.schema import (
     RESTITUTION_SPEED,
     FreeFlyerScenario,
 )
+from impact_envs.scenario import load_scenario
 from impact_envs.physics.convex import Disc, Polygon, compute_contact
 from impact_envs.physics.impact import (
     Side,
@@ -85,7 +87,7 @@ def change(scenario, physics, thruster_on_off=False, thruster_gain=None, **value
             for name, vector in value.items():
                 physics.body[scenario.bodies.index(name), body[key]] = vector
     for name, gain in (thruster_gain or {}).items():
-        physics.thruster[scenario.agents.index(name)] = gain.ravel()
+        physics.thruster[scenario.agents.index(name), :FADE] = gain.ravel()
     return physics._replace(true=physics.true.model_copy(update={"thruster_on_off": thruster_on_off}))
 
 
@@ -206,6 +208,43 @@ def test_force_turns_with_the_body():
     np.testing.assert_allclose(quarter, np.array([1.0, 1.0]) / 16.8 / omega, rtol=(omega * period) ** 2)
     run(model, 15.0, {"r": np.array([1.0, 0.0, 0.0])})
     np.testing.assert_allclose(model.state()[0, 2:4], 0, atol=1e-12)
+
+
+def test_a_turning_drift_keeps_its_size_and_comes_back():
+    """v over a whole turn is zero, and at half a turn twice the radius a / w of its circle."""
+    size, turn, period = 1e-3, 0.2 * math.pi, 0.1
+    scenario = load_scenario("throw_and_catch").override({"true.drift": size, "true.drift_turn": turn})
+    model, pop = build(scenario), scenario.bodies.index("pop")
+    model.reset(scenario.draw(np.random.default_rng(3)))
+    speeds = [np.zeros(2)]
+    for _ in range(round(2 * math.pi / turn / period)):
+        model.step(zero(model))
+        speeds.append(model.state()[pop, 2:4])
+    pushes = np.diff(speeds, axis=0) / period
+    assert np.hypot(*pushes.T) == pytest.approx(np.full(len(pushes), size), rel=1e-9)
+    angles = np.unwrap(np.arctan2(pushes[:, 1], pushes[:, 0]))
+    assert np.diff(angles) == pytest.approx(np.full(len(angles) - 1, turn * period), rel=1e-6)
+    assert np.linalg.norm(speeds[-1]) < 1e-12
+    half = np.linalg.norm(speeds[len(speeds) // 2])
+    assert half == pytest.approx(2 * size / turn, rel=1e-3)
+
+
+def test_a_thruster_fades_evenly():
+    """The loss of speed against a sound thruster is a t^2 / 2T times its share, and others are as they were."""
+    scenario = load_scenario("throw_and_catch")
+    model, robot = build(scenario), scenario.robots["snap"]
+    drawn = scenario.draw(np.random.default_rng(0))
+    drawn.thruster[0, FADE] = 0.6 / scenario.horizon  # of snap, along +x
+    model.reset(drawn)
+    force = 0.05 * robot.force_limit
+    pushes = []
+    for _ in range(100):
+        before = model.state()[0, 2:4]
+        model.step({name: np.array([force, -force, 0.0]) for name in scenario.robots})
+        pushes.append((model.state()[0, 2:4] - before) / scenario.control_period)
+    time = np.arange(100) * scenario.control_period
+    assert np.array(pushes)[:, 0] == pytest.approx(force / robot.mass * (1 - 0.6 * time / scenario.horizon), rel=1e-9)
+    assert np.array(pushes)[:, 1] == pytest.approx(np.full(100, -force / robot.mass), rel=1e-9)
 
 
 def test_drift_accelerates_objects_only():

@@ -12,10 +12,12 @@ from impact_envs.free_flyer.observation import (
     make_layout,
     observed_order,
 )
+from impact_envs.free_flyer.schema import DROPOUT
 from impact_envs.free_flyer.sensing import (
     VELOCITY_WINDOW,
     Sensing,
     compute_memory_size,
+    count_uniforms,
     take_sample,
     write_agent_observation,
     write_joint_observation,
@@ -28,16 +30,17 @@ PERIOD = SCENARIO.control_period
 NOISY = Sensing(PERIOD, 0.005, False, 3)
 
 
-def observe(sensing, states, contacts, uniforms=None, memory=None, take=take_sample):
+def observe(sensing, states, contacts, uniforms=None, memory=None, take=take_sample, sensors=None):
     """Take all samples of worlds with states (steps, worlds, bodies, 6); return what they measured and felt."""
     steps, worlds = states.shape[:2]
+    sensors = np.tile([sensing.delay_steps, 0.0], (worlds, 1)) if sensors is None else sensors
     if memory is None:
         memory = np.zeros((worlds, compute_memory_size(sensing, BODIES, ROBOTS)))
     measured, felt = np.full_like(states, np.nan), np.full_like(contacts, np.nan)
     uniforms = np.zeros((steps, worlds, 0)) if uniforms is None else uniforms
     for t in range(steps):
         for k in range(worlds):
-            take(sensing, k, t, states[t], contacts[t], uniforms[t], memory, measured[t], felt[t])
+            take(sensing, k, t, states[t], contacts[t], sensors, uniforms[t], memory, measured[t], felt[t])
     return measured, felt
 
 
@@ -50,11 +53,17 @@ def make_motion(steps, worlds, seed=0):
 @pytest.mark.parametrize("noise", [0.0, 0.005])
 @pytest.mark.parametrize("velocity_measured", [True, False])
 @pytest.mark.parametrize("delay", [0, 1, 3, 20])
-def test_worlds_that_started_at_different_times_are_single_worlds(noise, velocity_measured, delay):
+@pytest.mark.parametrize("lost_steps", [0, 4])
+def test_worlds_that_started_at_different_times_are_single_worlds(noise, velocity_measured, delay, lost_steps):
     worlds, steps = 9, 80
-    sensing = Sensing(PERIOD, noise, velocity_measured, delay)
+    sensing = Sensing(PERIOD, noise, velocity_measured, delay, lost_steps)
     true = {"position_noise": noise, "velocity_measured": velocity_measured, "delay_steps": delay}
-    physics = SCENARIO.draw(np.random.default_rng(0))._replace(true=SCENARIO.true.model_copy(update=true))
+    true |= {"dropout_rate": 0.5, "dropout_seconds": lost_steps * PERIOD} if lost_steps else {}
+    scenario = SCENARIO.override({f"true.{name}": value for name, value in true.items()})
+    drawn = scenario.draw(np.random.default_rng(0))
+    # Worlds differ in their delay; the line holds the longest one.
+    sensors = np.array([(k % (delay + 1), drawn.sensor[DROPOUT]) for k in range(worlds)])
+    physics = [drawn._replace(sensor=row) for row in sensors]
     states, contacts = make_motion(steps, worlds)
     streams, rngs = seed_streams(range(worlds)), [np.random.default_rng(seed) for seed in range(worlds)]
     singles = [Sensors(SCENARIO) for _ in range(worlds)]
@@ -62,12 +71,12 @@ def test_worlds_that_started_at_different_times_are_single_worlds(noise, velocit
     measured, felt = np.empty((worlds, BODIES, 6)), np.empty((worlds, ROBOTS))
     samples = np.zeros(worlds, dtype=int)
     for t in range(steps):
-        uniforms = draw_doubles(streams, np.arange(worlds), 2 * BODIES if noise > 0 else 0)
+        uniforms = draw_doubles(streams, np.arange(worlds), count_uniforms(sensing, BODIES))
         for k in range(worlds):
             if t % (11 + 5 * k) == 0:  # a new episode; its generator goes on
-                singles[k].reset(physics, rngs[k])
+                singles[k].reset(physics[k], rngs[k])
                 samples[k] = 0
-            take_sample(sensing, k, samples[k], states[t], contacts[t], uniforms, memory, measured, felt)
+            take_sample(sensing, k, samples[k], states[t], contacts[t], sensors, uniforms, memory, measured, felt)
             samples[k] += 1
             state, contact = singles[k].measure(states[t, k], contacts[t, k])
             assert np.array_equal(measured[k], state)
@@ -90,6 +99,49 @@ def test_delayed_samples_are_old_ones_and_the_first_until_then(delay):
     seen = np.maximum(np.arange(30) - delay, 0)
     assert np.array_equal(measured, states[seen])
     assert np.array_equal(felt, contacts[seen])
+
+
+def test_every_world_has_its_own_delay():
+    states, contacts = make_motion(30, 5)
+    delays = np.array([0, 1, 2, 4, 4])
+    sensors = np.stack([delays, np.zeros(5)], axis=1)
+    measured, felt = observe(Sensing(PERIOD, 0.0, True, 4), states, contacts, sensors=sensors)
+    for k, delay in enumerate(delays):
+        seen = np.maximum(np.arange(30) - delay, 0)
+        assert np.array_equal(measured[:, k], states[seen, k])
+        assert np.array_equal(felt[:, k], contacts[seen, k])
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+def test_a_loss_repeats_what_arrived_last_for_its_time(delay):
+    steps, lost = 40, 10
+    states, contacts = make_motion(steps, 1)
+    uniforms = np.ones((steps, 1, 1))
+    uniforms[[0, 7, 9], 0, 0] = 0.0  # the first sample always arrives, and no loss begins while one goes on
+    sensors, sensing = np.array([[delay, 0.05]]), Sensing(PERIOD, 0.0, True, delay, lost)
+    measured, felt = observe(sensing, states, contacts, uniforms, sensors=sensors)
+    seen = np.maximum(np.arange(steps) - delay, 0)
+    assert np.array_equal(felt, contacts[seen])  # robots feel for themselves
+    seen[7 : 7 + lost] = seen[6]
+    assert np.array_equal(measured, states[seen])
+
+
+def test_losses_begin_as_often_as_said():
+    steps, rate = 20000, 0.5
+    scenario = SCENARIO.override({"true.dropout_rate": rate, "true.dropout_seconds": 2 * PERIOD})
+    sensors, rng = Sensors(scenario), np.random.default_rng(6)
+    sensors.reset(scenario.draw(rng), rng)
+    clock = np.zeros((BODIES, 6))
+    seen = []
+    for t in range(steps):
+        clock[:, 0] = t
+        seen.append(sensors.measure(clock, np.zeros(ROBOTS))[0][0, 0])
+    repeated = np.diff(seen) == 0
+    begun = np.sum(repeated[1:] & ~repeated[:-1])
+    # Between losses, one begins with probability rate PERIOD; two in a row count as one, to second order.
+    p = rate * PERIOD
+    assert np.sum(repeated) == pytest.approx(steps * 2 * p / (1 + 2 * p), rel=0.1)
+    assert begun <= np.sum(repeated) / 2
 
 
 def test_velocity_is_the_difference_to_the_start_of_the_window():

@@ -1,0 +1,298 @@
+"""The expert that is told the truth of its episode, one world or many: what any learning can gain is bounded by it.
+
+It sees what the expert sees, and is the expert: only its belief opens with the true restitution, mass and drift of
+every object instead of the believed ones, certain, and its readings are those of centres of mass, and of now. Whoever
+judges it hands over the drawn numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from impact_envs.compiled import compiled, inlined
+from impact_envs.errors import InputError, choices
+from impact_envs.free_flyer.engine import turn_drift
+from impact_envs.free_flyer.observation import join_observations
+from impact_envs.free_flyer.schema import (
+    DELAY,
+    DRIFT_X,
+    DRIFT_Y,
+    MASS,
+    MOST_DELAY,
+    OFFSET_X,
+    OFFSET_Y,
+    RESTITUTION,
+    RESTITUTION_SPEED,
+    TURN,
+    FreeFlyerScenario,
+    Physics,
+)
+from impact_envs.free_flyer.sensing import BODY_SIZE, COS, OMEGA, SIN, TIME, VX, VY, X, Y, find_shared_place
+from impact_envs.physics.impact import compute_restitution
+from planners.free_flyer.belief.impact_parameters import find_row
+from planners.free_flyer.belief.options import Options
+from planners.free_flyer.belief.plan_table import PlanTable
+from planners.free_flyer.belief.world_memory import WorldMemory
+from planners.free_flyer.expert import FreeFlyerExpert
+from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
+from planners.plan import Plan
+
+# What can be told. The offset is told by readings of the centre of mass; where a filter has states for it, open them
+# in `open_belief` instead.
+PARTS = ("restitution", "mass", "offset", "drift", "delay")
+CERTAIN = 1e-3  # standard deviation of a restitution, or of the logarithm of a mass, that is told
+# What one object's truth is, as compiled code takes it.
+TOLD = np.dtype(
+    [
+        ("offset", float, 2),  # centre of mass in the body frame, from the geometric centre [m]
+        ("drift", float, 2),  # acceleration at the start of the episode [m/s^2]
+        ("turn", float),  # rate at which its direction turns [rad/s]
+    ]
+)
+
+
+class Truth:
+    """What N worlds' oracle is told.
+
+    Args:
+        scenario: as believed.
+        plan: that is followed; restitution that falls with speed is told for its speeds of approach.
+        count: N.
+        parts: of PARTS; what is not told is believed and learned as the expert does.
+
+    Raises:
+        InputError: an unknown part.
+    """
+
+    def __init__(self, scenario: FreeFlyerScenario, plan: Plan, count: int, parts: Sequence[str] = PARTS) -> None:
+        for part in parts:
+            if part not in PARTS:
+                raise InputError(f"part '{part}' of the truth is unknown; {choices(part, PARTS)}")
+        self._parts, self._period, self._robots = parts, float(scenario.control_period), len(scenario.robots)
+        speeds = [float((hit.robot_minus - hit.object_minus) @ hit.normal) for hit in plan.impacts]
+        self._approach = float(np.mean(speeds)) if speeds else 0.0
+        self.told = np.zeros((count, len(scenario.objects)), TOLD)
+        self.delay = np.zeros(count, np.int64)  # [control periods]
+        self.pushes = np.zeros((count, self._robots, MOST_DELAY, 2))  # accelerations of the robots, newest first
+        self._masses = np.array([scenario.body(name).mass for name in scenario.bodies])
+        self._restitution = np.full(count, float(scenario.believed.restitution))
+        self._mass = np.tile(self._masses, (count, 1))
+        self._waits = np.zeros(count, bool)
+
+    def tell(self, worlds: np.ndarray, physics: Physics) -> None:
+        """Take note of the truth of some worlds that start an episode.
+
+        Args:
+            worlds: their numbers, shape (m,).
+            physics: of these worlds, as ``draw_many`` returns it.
+        """
+        objects, told = physics.body[:, self._robots :], np.zeros((len(worlds), self.told.shape[1]), TOLD)
+        if "offset" in self._parts:
+            told["offset"] = objects[:, :, OFFSET_X : OFFSET_Y + 1]
+        if "drift" in self._parts:
+            told["drift"], told["turn"] = objects[:, :, DRIFT_X : DRIFT_Y + 1], objects[:, :, TURN]
+        self.told[worlds] = told
+        self.delay[worlds] = physics.sensor[:, DELAY] if "delay" in self._parts else 0
+        laws = physics.contact[:, [RESTITUTION, RESTITUTION_SPEED]].tolist()
+        self._restitution[worlds] = [compute_restitution(self._approach, *law) for law in laws]
+        self._mass[worlds] = physics.body[:, :, MASS]
+        self.pushes[worlds] = 0.0
+        self._waits[worlds] = True
+
+    def read(self, joint: np.ndarray, horizon: float, memory: WorldMemory) -> None:
+        """Turn readings into those of centres of mass, now; turn the drifts that are told, in place.
+
+        Args:
+            joint: everything measured once, shape (N, size).
+            horizon: [s].
+            memory: of the expert.
+        """
+        open_belief = "drift" in self._parts
+        read_truth(self.told, self.delay, self.pushes, self._period, horizon, joint, memory.filter, open_belief)
+
+    def keep(self, plan: PlanTable, memory: WorldMemory, options: Options) -> None:
+        """Open the belief of worlds whose first reading the expert took; remember what the robots do.
+
+        Args:
+            plan: of the expert.
+            memory: of the expert, changed in place.
+            options: of the expert, as a record.
+        """
+        self.pushes[:, :, 1:] = self.pushes[:, :, :-1]
+        self.pushes[:, :, 0] = memory.push
+        for k in np.flatnonzero(self._waits).tolist():
+            self._open_pairs(memory, k)
+            self._open_filters(plan, memory, options, k)
+        self._waits[:] = False
+
+    def _open_pairs(self, memory: WorldMemory, k: int) -> None:
+        """Open the Gaussian of restitutions and mass ratios of world k."""
+        objects = self.told.shape[1]
+        for r in range(self._robots):
+            for o in range(objects):
+                i = find_row(memory, r, o)
+                values = self._restitution[k], math.log(self._mass[k, self._robots + o] / self._mass[k, r])
+                for part, place, value in zip(("restitution", "mass"), (i, i + 1), values, strict=True):
+                    if part in self._parts:
+                        memory.pair_mean[k, :, place] = value
+                        memory.pair_covariance[k, :, place, :] = memory.pair_covariance[k, :, :, place] = 0.0
+                        memory.pair_covariance[k, :, place, place] = CERTAIN * CERTAIN
+
+    def _open_filters(self, plan: PlanTable, memory: WorldMemory, options: Options, k: int) -> None:
+        """Open the filters of world k's objects at their centres of mass, with their drifts."""
+        sure, slow = options["estimation"]["start_position"], options["estimation"]["start_velocity"]
+        for o in range(self.told.shape[1]):
+            i = self._robots + o
+            z, body, told = memory.filter[k, i], plan.body[i], self.told[k, o]
+            if "offset" in self._parts:
+                cos, sin, rate = math.cos(body["heading"]), math.sin(body["heading"]), body["start_rate"]
+                dx, dy = told["offset"]
+                x, y = cos * dx - sin * dy, sin * dx + cos * dy
+                z["position"] = body["start"] + (x, y)
+                z["velocity"] = body["start_velocity"] + (-rate * y, rate * x)
+                z["P_pp"], z["P_vv"], z["P_pv"] = sure * sure + body["spread"] ** 2 / 3.0, slow * slow, 0.0
+                memory.track[k, i]["doubted"] = -math.inf
+            if "drift" in self._parts:
+                z["drift"] = told["drift"]
+                z["P_pa"] = z["P_va"] = z["P_aa"] = 0.0
+
+
+@compiled
+def read_truth(
+    told: np.ndarray,
+    delay: np.ndarray,
+    pushes: np.ndarray,
+    period: float,
+    horizon: float,
+    joint: np.ndarray,
+    filters: np.ndarray,
+    turns: bool,
+) -> None:
+    """Turn the readings of N worlds into those of centres of mass, now, and the told drifts into those of now.
+
+    Args:
+        told: TOLD of every object, shape (N, m).
+        delay: control periods that readings are old, shape (N,).
+        pushes: accelerations of the robots in the last control periods, newest first, shape (N, r, periods, 2) [m/s^2].
+        period: control period [s].
+        horizon: [s].
+        joint: everything measured once, changed in place, shape (N, 7 n + r + 3).
+        filters: FILTER of every body, whose drifts are written, shape (N, n).
+        turns: whether drifts are told.
+    """
+    robots, bodies = pushes.shape[1], filters.shape[1]
+    clock = find_shared_place(bodies, robots) + TIME
+    for k in range(joint.shape[0]):
+        for o in range(told.shape[1]):
+            read_mass_centre(told[k, o], k, BODY_SIZE * (robots + o), joint)
+            steps = int(joint[k, clock] * horizon / period + 0.5)
+            if turns and steps > 0:
+                drift = told[k, o].drift
+                x, y = turn_drift(drift[0], drift[1], told[k, o].turn, steps, period)
+                filters[k, robots + o].drift[0], filters[k, robots + o].drift[1] = x, y
+        for i in range(bodies):
+            read_now(delay[k], pushes, period, k, i, joint)
+
+
+@inlined
+def read_mass_centre(told: np.record, k: int, at: int, joint: np.ndarray) -> None:
+    """Turn the reading of an object's geometric centre into that of its centre of mass: p + R d, v + omega x R d."""
+    dx, dy = told.offset[0], told.offset[1]
+    cos, sin, rate = joint[k, at + COS], joint[k, at + SIN], joint[k, at + OMEGA]
+    x, y = cos * dx - sin * dy, sin * dx + cos * dy
+    joint[k, at + X] += x
+    joint[k, at + Y] += y
+    joint[k, at + VX] -= rate * y
+    joint[k, at + VY] += rate * x
+
+
+@inlined
+def read_now(delay: int, pushes: np.ndarray, period: float, k: int, i: int, joint: np.ndarray) -> None:
+    """Move the reading of body i on by the delay: straight on, and as its thrusters pushed it since."""
+    at = BODY_SIZE * i
+    for past in range(delay - 1, -1, -1):
+        for axis in range(2):
+            push = pushes[k, i, past, axis] if i < pushes.shape[1] else 0.0
+            joint[k, at + X + axis] += period * (joint[k, at + VX + axis] + period / 2.0 * push)
+            joint[k, at + VX + axis] += period * push
+
+
+class FreeFlyerOracle(FreeFlyerExpert):
+    """The expert of one world, told the truth of every episode by `tell` after `reset`.
+
+    Args:
+        scenario: its true physics are not looked at.
+        plan: to execute.
+        options: of the expert.
+        parts: of the truth, see PARTS.
+
+    Raises:
+        InputError: as FreeFlyerExpert, or an unknown part.
+    """
+
+    def __init__(
+        self, scenario: FreeFlyerScenario, plan: Plan, options: Options | None = None, parts: Sequence[str] = PARTS
+    ) -> None:
+        self._truth = Truth(scenario.as_believed(), plan, 1, parts)
+        super().__init__(scenario, plan, options=options)
+        self.name = "oracle"
+
+    def tell(self, physics: Physics) -> None:
+        """Hand over the truth of the coming episode, as ``draw`` returns it."""
+        batch = Physics(*(getattr(physics, name)[None] for name in Physics._fields[:-1]), physics.true)
+        self._truth.tell(np.zeros(1, int), batch)
+
+    def _join(self, observations: Mapping[str, np.ndarray]) -> None:
+        join_observations(self._scenario, observations, self._joint[0])
+        self._truth.read(self._joint, self.table.horizon, self.memory)
+
+    def control(self) -> dict[str, np.ndarray]:
+        """Return each robot's action; see FreeFlyerExpert."""
+        actions = super().control()
+        self._truth.keep(self.table, self.memory, self._record[0])
+        return actions
+
+
+class FreeFlyerOracleBatch(FreeFlyerExpertBatch):
+    """The oracle of N worlds; world k acts as FreeFlyerOracle does.
+
+    Args:
+        scenario, plan, count, options, threads: see FreeFlyerExpertBatch.
+        parts: of the truth, see PARTS.
+
+    Raises:
+        InputError: as FreeFlyerExpertBatch, or an unknown part.
+    """
+
+    def __init__(
+        self,
+        scenario: FreeFlyerScenario,
+        plan: Plan,
+        count: int,
+        options: Options | None = None,
+        threads: int = 1,
+        parts: Sequence[str] = PARTS,
+    ) -> None:
+        super().__init__(scenario, plan, count, options=options, threads=threads)
+        self._truth = Truth(scenario.as_believed(), plan, count, parts)
+
+    def tell(self, physics: Physics, worlds: np.ndarray | None = None) -> None:
+        """Hand over the truth of worlds that start an episode.
+
+        Args:
+            physics: as ``draw_many`` returns it.
+            worlds: their numbers; all worlds if not given.
+        """
+        self._truth.tell(np.arange(self.count) if worlds is None else worlds, physics)
+
+    def act(self, observations: Any) -> np.ndarray:
+        """Return every world's joint action; see FreeFlyerExpertBatch."""
+        joint = self._check(observations).copy()
+        self._truth.read(joint, self._table.horizon, self.memory)
+        actions = super().act(joint)
+        self._truth.keep(self._table, self.memory, self._arrays[1][0])
+        return actions
