@@ -26,9 +26,9 @@ TRAINING_SEEDS = 1_000_000
 class CorrectableExpert(Policy, Protocol):
     """An expert that asks for a bounded correction now and then.
 
-    A control step is ``observe(observations)``, then ``correct(correction)`` if ``awaiting_correction``, then
-    ``control()``; ``act`` is observe and control. A request left unanswered counts as zero, and zero changes
-    nothing, bit for bit.
+    A control step is ``observe(observations)``, then ``correct(correction)`` as long as ``awaiting_correction``, then
+    ``control()``; ``act`` is observe and control. Several corrections may be due in one step, one after the other. A
+    request left unanswered counts as zero, and zero changes nothing, bit for bit.
 
     Attributes:
         correction_size: length of a correction.
@@ -40,13 +40,13 @@ class CorrectableExpert(Policy, Protocol):
 
     @property
     def awaiting_correction(self) -> bool:
-        """Return whether the next control will use a new correction."""
+        """Return whether a correction is due in this control step, and not given yet."""
 
     def observe(self, observations: dict[str, np.ndarray]) -> None:
         """Take this control step's measurements and decide whether a correction is awaited."""
 
     def features(self) -> np.ndarray:
-        """Return what a learner may see: shape (feature_size,), from observations and beliefs only."""
+        """Return what a learner may see of what is due: shape (feature_size,), from observations and beliefs only."""
 
     def correct(self, correction: np.ndarray) -> None:
         """Set the correction in [-1, 1], shape (correction_size,), until the next one is awaited."""
@@ -57,6 +57,8 @@ class CorrectableExpert(Policy, Protocol):
 
 class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """Correct an expert: one step lasts from one awaited correction to the next (semi-Markov).
+
+    Where two corrections are due in the same control step, the step from the first to the second takes no time.
 
     Action space: ``Box(-1, 1, (correction_size,))``; zero is the expert, bit for bit. Each expert says what a
     correction changes; a free-flyer's scales and turns the impulse of the coming impact.
@@ -156,7 +158,8 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if self.parallel.agents:
             self._steps = 0
             self.expert.correct(np.clip(correction, -1.0, 1.0))
-            self._run_to_request()
+            if not self.expert.awaiting_correction:
+                self._run_to_request()
         self._ended = not self.parallel.agents
         reward, self._reward = self._reward, 0.0
         info = self._infos | {"control_steps": self._steps}
@@ -264,12 +267,12 @@ class ResidualPolicy:
             Each agent's action in [-1, 1].
         """
         self.expert.observe(observations)
-        if self.expert.awaiting_correction:
+        while self.expert.awaiting_correction:
             correction = self.actor(self.expert.features())
-            if np.isfinite(correction).all():  # no answer counts as zero
-                self.expert.correct(np.clip(correction, -1.0, 1.0))
-            else:
+            if not np.isfinite(correction).all():  # no answer counts as zero
+                correction = np.zeros(self.expert.correction_size)
                 self._unanswered += 1
+            self.expert.correct(np.clip(correction, -1.0, 1.0))
         return self.expert.control()
 
     def diagnostics(self) -> Diagnostics:

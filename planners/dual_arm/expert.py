@@ -111,7 +111,7 @@ class DualArmExpert:
 
     @property
     def awaiting_correction(self) -> bool:
-        """Return whether the next `control` will use a new correction."""
+        """Return whether a correction is due in this control step, and not given yet."""
         return self._awaiting
 
     def correct(self, correction: np.ndarray) -> None:
@@ -126,6 +126,7 @@ class DualArmExpert:
             InputError: wrong shape, or no correction is awaited.
         """
         self._answer = check_correction(correction, self.correction_size, self._awaiting)
+        self._awaiting = False
 
     def features(self) -> np.ndarray:
         """Return what a learner may see of the grasp.

@@ -141,7 +141,7 @@ class FloatingManipulatorExpert:
 
     @property
     def awaiting_correction(self) -> bool:
-        """Return whether the next `control` will use a new correction."""
+        """Return whether a correction is due in this control step, and not given yet."""
         return self._awaiting
 
     def correct(self, correction: np.ndarray) -> None:
@@ -158,6 +158,7 @@ class FloatingManipulatorExpert:
         """
         c = check_correction(correction, self.correction_size, self._awaiting)
         self._correction = scale_correction(self._scenario, c, self.options.correction)
+        self._wait_for_next()
 
     def features(self) -> np.ndarray:
         """Return what a learner may observe, shape (2 n + 27,); see `compute_features`."""
@@ -183,11 +184,14 @@ class FloatingManipulatorExpert:
         """
         begin = time.perf_counter()
         if self._awaiting:
-            self._awaiting, self._due = False, self._measurement.time + self.options.correction.period
+            self._wait_for_next()
         controls = self._recover() if self.phase == "pause" else self._regulate()
         self._diagnostics.solve_seconds.append(self._seconds + time.perf_counter() - begin)
         self._commanded = {agent: controls[agent] for agent in self._scenario.agents}
         return self._commanded
+
+    def _wait_for_next(self) -> None:
+        self._awaiting, self._due = False, self._measurement.time + self.options.correction.period
 
     def _warm_up(self) -> None:
         """Run every compiled function once, so that no control step waits for the compiler."""

@@ -23,7 +23,7 @@ from planners.free_flyer.belief.options import Options, get_options, make_record
 from planners.free_flyer.belief.plan_table import NO_IMPACT, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
-from planners.free_flyer.closed_loop.world_loop import ADOPT, APPLY, CONTROL, OBSERVE, PREPARE, START, run_experts
+from planners.free_flyer.closed_loop.world_loop import ADOPT, APPLY, CONTROL, DECIDE, OBSERVE, PREPARE, START, run_experts
 from planners.free_flyer.next_impact.desired_velocity import choose_desired_velocity, find_next_knot
 from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
@@ -184,11 +184,11 @@ class FreeFlyerExpert:
 
     @property
     def awaiting_correction(self) -> bool:
-        """Return whether the next `control` will use up a new correction; once per planned impact."""
+        """Return whether a correction is due in this control step, and not given yet; once per planned impact."""
         return bool(self._due[0] != NO_OBJECT)
 
     def correct(self, correction: np.ndarray) -> None:
-        """Set the correction of the coming impact.
+        """Set the correction of the coming impact; then look whether another object's is due in this step, too.
 
         The desired velocity change of the object is multiplied by exp(0.5 c_0) and turned by 0.3 c_1 rad.
 
@@ -201,6 +201,7 @@ class FreeFlyerExpert:
         values = check_correction(correction, self.correction_size, self.awaiting_correction)
         strike = self.memory.strike[0, self._due[0]]
         strike["scale"], strike["turn"] = values
+        self._run(DECIDE)
 
     def features(self) -> np.ndarray:
         """Return what a learner may see of the coming impact (of the one a correction is awaited for, if any).

@@ -45,7 +45,7 @@ class Pusher:
 
     def correct(self, correction: np.ndarray) -> None:
         assert self.awaiting_correction
-        self._push = correction
+        self._push, self.awaiting_correction = correction, False
 
     def control(self) -> dict[str, np.ndarray]:
         self.awaiting_correction = False

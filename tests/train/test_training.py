@@ -55,7 +55,7 @@ class Pusher:
         return np.array([self._count / 10, *self._position])
 
     def correct(self, correction: np.ndarray) -> None:
-        self._push = correction
+        self._push, self.awaiting_correction = correction, False
 
     def control(self) -> dict[str, np.ndarray]:
         return {agent: np.array([0.1, 0.0, 0.0]) + 0.5 * np.append(self._push, 0.0) for agent in self._agents}

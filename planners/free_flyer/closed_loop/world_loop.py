@@ -42,7 +42,7 @@ from planners.free_flyer.next_impact.retiming import retime_impact
 from planners.free_flyer.tracking.mpc import Workspace
 
 # What to do with the worlds.
-START, OBSERVE, CONTROL, ACT, ADOPT, PREPARE, APPLY = range(7)
+START, OBSERVE, CONTROL, ACT, ADOPT, PREPARE, APPLY, DECIDE = range(8)
 
 
 @compiled
@@ -138,13 +138,18 @@ def prepare_robot(plan: PlanTable, memory: WorldMemory, options: Options, worksp
 @inlined
 def take_corrections(plan: PlanTable, memory: WorldMemory, options: Options, k: int) -> None:
     """Take the corrections that are due as they are now; the courses to their impacts are planned anew."""
-    now = memory.time[k]
-    due = find_due(plan, memory, options, k, now)
+    due = find_due(plan, memory, options, k, memory.time[k])
     while due != NO_OBJECT:
-        memory.strike[k, due].is_decided = True
-        if not options.once:
-            memory.strike[k, due].replanned_at = -math.inf
-        due = find_due(plan, memory, options, k, now)
+        due = decide_impact(plan, memory, options, k, due)
+
+
+@compiled
+def decide_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int) -> int:
+    """Take the correction of object o's coming impact as it is now; return the object whose correction is due next."""
+    memory.strike[k, o].is_decided = True
+    if not options.once:
+        memory.strike[k, o].replanned_at = -math.inf
+    return find_due(plan, memory, options, k, memory.time[k])
 
 
 @inlined
@@ -235,9 +240,10 @@ def run_experts(
         options: see `options.make_record`.
         joint: everything measured once, shape (N, 7 n + r + 3).
         actions: written by CONTROL, ACT and APPLY, shape (N, r, 3).
-        due: object whose coming impact's correction is due, or NO_OBJECT, written by START and OBSERVE, shape (N,).
+        due: object whose coming impact's correction is due, or NO_OBJECT, written by START, OBSERVE and DECIDE, shape
+            (N,).
         phase: START, OBSERVE, CONTROL; ACT: observe and control, and start where time is 0; ADOPT: go on with a new
-            plan; PREPARE, APPLY: control one robot.
+            plan; PREPARE, APPLY: control one robot; DECIDE: take the correction that is due, and find the next.
         c: thread; of PREPARE and APPLY the robot, which has the workspace's row of its number.
         first, end: range of worlds.
     """
@@ -249,6 +255,8 @@ def run_experts(
             due[k] = NO_OBJECT
         if phase == ADOPT:
             adopt_world(plan_, memory_, options_, k)
+        if phase == DECIDE and due[k] != NO_OBJECT:
+            due[k] = decide_impact(plan_, memory_, options_, k, due[k])
         if phase in (OBSERVE, ACT):
             due[k] = observe_world(plan_, memory_, options_, qp_, c, k, joint)
         if phase in (CONTROL, ACT):
