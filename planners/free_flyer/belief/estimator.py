@@ -1,7 +1,7 @@
 """State estimation of robots and objects: Kalman filters over free flight, re-opened at contacts; compiled.
 
-One filter serves every body: position, velocity and a constant unknown acceleration (drift) per axis; see
-`world_memory.FILTER`.
+One filter serves every body: position, velocity and a constant unknown acceleration (drift) per axis, and the offset
+of the centre of mass; see `world_memory.FILTER` and `offset`.
 """
 
 from __future__ import annotations
@@ -10,10 +10,21 @@ import math
 
 import numpy as np
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, inlined
 from impact_envs.free_flyer.sensing import BODY_SIZE, OMEGA, VX, VY, X, Y, find_contact_place
 from impact_envs.physics.impact import compute_velocity_gain
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain, get_pair, learn_velocity_error
+from planners.free_flyer.belief.offset import (
+    LEAST,
+    compute_direction,
+    compute_lever,
+    correct_centre_velocity,
+    extrapolate_swing,
+    find_swing,
+    get_offset,
+    open_offset,
+    swing_centre,
+)
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.readings import (
@@ -44,55 +55,84 @@ def predict_state(z: np.record, ux: float, uy: float, h: float, unmodelled: floa
         z.velocity[axis] += h * a
     pp, pv, pa, vv, va, aa = z.P_pp, z.P_pv, z.P_pa, z.P_vv, z.P_va, z.P_aa
     q = unmodelled * unmodelled * h * h
-    z.P_pp = pp + 2 * h * pv + h * h * (pa + vv) + h**3 * va + h**4 / 4 * aa + q * h * h / 4
-    z.P_pv = pv + h * (pa + vv) + 1.5 * h * h * va + h**3 / 2 * aa + q * h / 2
-    z.P_pa = pa + h * va + h * h / 2 * aa
-    z.P_vv = vv + 2 * h * va + h * h * aa + q
-    z.P_va = va + h * aa
+    z.P_pp = pp + 2 * h * pv.real + h * h * (pa.real + vv) + h**3 * va.real + h**4 / 4 * aa + q * h * h / 4
+    across = pv.imag + h * pa.imag + h * h / 2 * va.imag
+    z.P_pv = complex(pv.real + h * (pa.real + vv) + 1.5 * h * h * va.real + h**3 / 2 * aa + q * h / 2, across)
+    z.P_pa = complex(pa.real + h * va.real + h * h / 2 * aa, pa.imag + h * va.imag)
+    z.P_vv = vv + 2 * h * va.real + h * h * aa + q
+    z.P_va = complex(va.real + h * aa, va.imag)
+    if z.P_dd > 0.0:
+        z.P_pd += h * (z.P_vd + h / 2 * z.P_ad)
+        z.P_vd += h * z.P_ad
 
 
 @compiled
 def correct_position(z: np.record, x: float, y: float, variance: float) -> None:
-    """Update a filter in place by a measured position.
+    """Update a filter in place by a measured position of the geometric centre.
 
     Args:
         z: a FILTER.
         x, y: measured position [m].
         variance: of the measurement per axis, above zero [m^2].
     """
-    pp, pv, pa = z.P_pp, z.P_pv, z.P_pa
-    total = pp + variance
-    for axis, value in ((0, x), (1, y)):
-        innovation = (value - z.position[axis]) / total
-        z.position[axis] += pp * innovation
-        z.velocity[axis] += pv * innovation
-        z.drift[axis] += pa * innovation
-    z.P_vv = max(z.P_vv - pv * pv / total, 0.0)
-    z.P_va -= pv * pa / total
-    z.P_aa = max(z.P_aa - pa * pa / total, 0.0)
-    z.P_pp, z.P_pv, z.P_pa = pp * (variance / total), pv * (variance / total), pa * (variance / total)
+    pp, pv, pa, pd = z.P_pp, z.P_pv, z.P_pa, z.P_pd
+    vp, ap, total = pv.conjugate(), pa.conjugate(), pp + variance
+    innovation = complex((x - z.position[0]) / total, (y - z.position[1]) / total)
+    add_change(z.position, pp * innovation)
+    add_change(z.velocity, vp * innovation)
+    add_change(z.drift, ap * innovation)
+    left = variance / total
+    z.P_vv = max(z.P_vv - (vp * pv).real / total, 0.0)
+    z.P_va -= divide(vp * pa, total)
+    z.P_aa = max(z.P_aa - (ap * pa).real / total, 0.0)
+    z.P_pp, z.P_pv, z.P_pa = pp * left, pv * left, pa * left
+    if z.P_dd > 0.0:
+        add_change(z.offset, pd.conjugate() * innovation)
+        z.P_dd = max(z.P_dd - (pd.conjugate() * pd).real / total, LEAST)
+        z.P_vd -= divide(vp * pd, total)
+        z.P_ad -= divide(ap * pd, total)
+        z.P_pd = pd * left
+
+
+@inlined
+def add_change(state: np.ndarray, change: complex) -> None:
+    """Add a plane vector to a state."""
+    state[0] += change.real
+    state[1] += change.imag
+
+
+@inlined
+def divide(value: complex, by: float) -> complex:
+    """Return a complex number over a real one, without the detour over complex ones."""
+    return complex(value.real / by, value.imag / by)
 
 
 @compiled
 def correct_velocity(z: np.record, vx: float, vy: float, variance: float) -> None:
-    """Update a filter in place by a measured velocity.
+    """Update a filter in place by a measured velocity of a body that does not turn.
 
     Args:
         z: a FILTER.
         vx, vy: measured velocity [m/s].
         variance: of the measurement per axis, above zero [m^2/s^2].
     """
-    pv, vv, va = z.P_pv, z.P_vv, z.P_va
-    total = vv + variance
-    for axis, value in ((0, vx), (1, vy)):
-        innovation = (value - z.velocity[axis]) / total
-        z.position[axis] += pv * innovation
-        z.velocity[axis] += vv * innovation
-        z.drift[axis] += va * innovation
-    z.P_pp = max(z.P_pp - pv * pv / total, 0.0)
-    z.P_pa -= pv * va / total
-    z.P_aa = max(z.P_aa - va * va / total, 0.0)
-    z.P_pv, z.P_vv, z.P_va = pv * (variance / total), vv * (variance / total), va * (variance / total)
+    pv, vv, va, vd = z.P_pv, z.P_vv, z.P_va, z.P_vd
+    av, total = va.conjugate(), vv + variance
+    innovation = complex((vx - z.velocity[0]) / total, (vy - z.velocity[1]) / total)
+    add_change(z.position, pv * innovation)
+    add_change(z.velocity, vv * innovation)
+    add_change(z.drift, av * innovation)
+    left = variance / total
+    z.P_pp = max(z.P_pp - (pv * pv.conjugate()).real / total, 0.0)
+    z.P_pa -= divide(pv * va, total)
+    z.P_aa = max(z.P_aa - (av * va).real / total, 0.0)
+    z.P_pv, z.P_vv, z.P_va = pv * left, vv * left, va * left
+    if z.P_dd > 0.0:
+        add_change(z.offset, vd.conjugate() * innovation)
+        z.P_dd = max(z.P_dd - (vd.conjugate() * vd).real / total, LEAST)
+        z.P_pd -= divide(pv * vd, total)
+        z.P_ad -= divide(av * vd, total)
+        z.P_vd = vd * left
 
 
 @compiled
@@ -126,6 +166,8 @@ def open_filters(plan: PlanTable, memory: WorldMemory, options: Options, k: int)
         )
         if options.drift and i >= plan.robots and body.keep_force == 0.0:
             z.P_aa = options.estimation.drift * options.estimation.drift
+        if options.offset and i >= plan.robots:
+            open_offset(z, options.estimation.offset, body.heading, body.start_rate)
         memory.heading[k, i].angle, memory.heading[k, i].rate = body.heading, body.start_rate
     open_tracks(plan, memory, k)
     sensor = memory.sensor[k]
@@ -162,7 +204,7 @@ def update_estimates(
         if now <= memory.track[k, i].doubted:
             predict_state(memory.track[k, i].old, ux, uy, h, unmodelled)
         heading, spin = memory.heading[k, i], memory.spin[k, i] if i < r else 0.0
-        heading.angle += h * (heading.rate + h / 2 * spin)
+        turn_body(memory, k, i, heading.angle + h * (heading.rate + h / 2 * spin))
         heading.rate += h * spin
     calm = True
     for i in range(r):
@@ -200,20 +242,37 @@ def update_estimates(
         z, at, use = memory.filter[k, i], BODY_SIZE * i, memory.track[k, i].use
         if use in (MISSING, REJECTED):
             continue
+        heading, rate = memory.heading[k, i], joint[k, at + OMEGA]
+        turn_body(memory, k, i, memory.track[k, i].angle)
+        if abs(rate - heading.rate) <= plan.body[i].jump / plan.body[i].radius:
+            heading.rate = rate
+        else:
+            memory.counts[k].rejected += 1
         dx, dy = joint[k, at + VX] - z.velocity[0], joint[k, at + VY] - z.velocity[1]
+        turns = z.P_dd > 0.0 and heading.rate != 0.0
+        if turns:
+            _, _, sx, sy = find_swing(z, heading.angle, heading.rate)
+            dx, dy = dx - sx, dy - sy
         square = dx * dx + dy * dy
         is_speed = is_speed_possible(plan, memory, options, k, i, square)
         if calm and is_speed:
             learn_velocity_error(memory, options, k, i, square, slow * slow * variance)
         correct_position(z, joint[k, at + X], joint[k, at + Y], variance)
-        if is_speed:
-            correct_velocity(z, joint[k, at + VX], joint[k, at + VY], slow * slow * variance)
-        heading, rate = memory.heading[k, i], joint[k, at + OMEGA]
-        heading.angle = memory.track[k, i].angle
-        if abs(rate - heading.rate) <= plan.body[i].jump / plan.body[i].radius:
-            heading.rate = rate
-        else:
-            memory.counts[k].rejected += 1
+        vx, vy = joint[k, at + VX], joint[k, at + VY]
+        if is_speed and turns:
+            correct_centre_velocity(z, vx, vy, slow * slow * variance, heading.angle, heading.rate)
+        elif is_speed:
+            correct_velocity(z, vx, vy, slow * slow * variance)
+
+
+@inlined
+def turn_body(memory: WorldMemory, k: int, i: int, angle: float) -> None:
+    """Turn body i to a heading; its geometric centre goes along."""
+    heading = memory.heading[k, i]
+    swing_centre(memory.filter[k, i], heading.angle, angle)
+    if memory.time[k] <= memory.track[k, i].doubted:
+        swing_centre(memory.track[k, i].old, heading.angle, angle)
+    heading.angle = angle
 
 
 @compiled
@@ -237,18 +296,25 @@ def apply_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     x, y = b.position[0] - a.position[0], b.position[1] - a.position[1]
     distance = math.hypot(x, y)
     nx, ny = (x / distance, y / distance) if distance > 0 else (1.0, 0.0)
-    approach = max((a.velocity[0] - b.velocity[0]) * nx + (a.velocity[1] - b.velocity[1]) * ny, 0.0)
+    vx, vy = b.velocity[0], b.velocity[1]
+    if b.P_dd > 0.0:
+        _, _, sx, sy = extrapolate_swing(memory, k, j, memory.time[k])
+        vx, vy = vx + sx, vy + sy
+    approach = max((a.velocity[0] - vx) * nx + (a.velocity[1] - vy) * ny, 0.0)
     reach = plan.body[i].radius + plan.body[j].radius
     ago = min(max(reach - distance, 0.0) / approach, h) if approach > 0.0 else 0.0
     m_a, m_b = plan.body[i].mass, plan.body[j].mass
-    gain, ratio = compute_velocity_gain(plan.restitution, m_a, m_b), m_b / m_a
+    gain, ratio, lever = compute_velocity_gain(plan.restitution, m_a, m_b), m_b / m_a, 0.0
+    angle = memory.heading[k, j].angle - ago * memory.heading[k, j].rate
     if j >= plan.robots:
         o = j - plan.robots
-        gain, ratio = compute_pair_gain(memory, k, i, o), get_pair(memory, k, i, o)[1]
+        lever = compute_lever(b, plan.body[j].gyration, angle, nx, ny)
+        gain, ratio = compute_pair_gain(memory, k, i, o, lever), get_pair(memory, k, i, o)[1]
     # The velocities are those of the end of the step.
     approach = max(approach - ago * (memory.push[k, i, 0] * nx + memory.push[k, i, 1] * ny), 0.0)
     felt = memory.felt[k, i]
     felt.approach, felt.normal[0], felt.normal[1] = approach, nx, ny
+    felt.angle, felt.lever = angle, lever
     felt.free_velocity, felt.object_variance = a.velocity, b.P_vv
     # Replace the filter's variance of the thrust by the learned one.
     felt.robot_variance = (
@@ -288,13 +354,16 @@ def learn_noise(memory: WorldMemory, options: Options, k: int, joint: np.ndarray
 
 @compiled
 def extrapolate_flight(memory: WorldMemory, k: int, i: int, time: float) -> tuple[float, float, float, float]:
-    """Return position and velocity of body i in free flight at a time.
+    """Return the position of the geometric centre and the velocity of the centre of mass of body i in flight at a time.
 
-    Source: Verhagen & Tumova, Sec. VI, with the estimated drift added.
+    Source: Verhagen & Tumova, Sec. VI, with the estimated drift and offset added.
     """
     z, h = memory.filter[k, i], time - memory.time[k]
     x = z.position[0] + h * (z.velocity[0] + h / 2 * z.drift[0])
     y = z.position[1] + h * (z.velocity[1] + h / 2 * z.drift[1])
+    if z.P_dd > 0.0:
+        move = compute_turn_ahead(memory, k, i, h) * get_offset(z)
+        x, y = x + move.real, y + move.imag
     return x, y, z.velocity[0] + h * z.drift[0], z.velocity[1] + h * z.drift[1]
 
 
@@ -302,5 +371,16 @@ def extrapolate_flight(memory: WorldMemory, k: int, i: int, time: float) -> tupl
 def compute_variance(memory: WorldMemory, k: int, i: int, time: float) -> float:
     """Return the variance per axis of where body i is in free flight at a time [m^2]."""
     z, h = memory.filter[k, i], time - memory.time[k]
-    pp, pv, pa, vv, va, aa = z.P_pp, z.P_pv, z.P_pa, z.P_vv, z.P_va, z.P_aa
-    return pp + 2 * h * pv + h * h * (pa + vv) + h**3 * va + h**4 / 4 * aa
+    pp, pv, pa, vv, va, aa = z.P_pp, z.P_pv.real, z.P_pa.real, z.P_vv, z.P_va.real, z.P_aa
+    variance = pp + 2 * h * pv + h * h * (pa + vv) + h**3 * va + h**4 / 4 * aa
+    if z.P_dd > 0.0:
+        s, pd = compute_turn_ahead(memory, k, i, h), z.P_pd + h * (z.P_vd + h / 2 * z.P_ad)
+        variance += 2.0 * (s * pd.conjugate()).real + (s * s.conjugate()).real * z.P_dd
+    return variance
+
+
+@inlined
+def compute_turn_ahead(memory: WorldMemory, k: int, i: int, h: float) -> complex:
+    """Return R(theta') - R(theta) of body i, theta' its heading after a time, as a complex number."""
+    heading = memory.heading[k, i]
+    return compute_direction(heading.angle + h * heading.rate) - compute_direction(heading.angle)

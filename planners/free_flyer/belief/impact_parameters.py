@@ -3,9 +3,10 @@ r"""Estimate restitution and mass ratio of every pair of robot and object from w
 One Gaussian is kept over all pairs: restitution e and logarithm of the mass ratio mu = m_O / m_R of each. A hit with
 approach speed s changes the velocities along the normal by
 
-dv_O = (1 + e) / (1 + mu) s,  dv_R = mu dv_O,
+dv_O = (1 + e) / (1 + mu + lever) s,  dv_R = mu dv_O,
 
-so the object alone tells the gain (1 + e) / (1 + mu), and the robot's recoil tells the two apart. What is learned from
+where a hit beside the object's centre of mass has a lever (`offset.compute_lever`), 0 otherwise. So the object alone
+tells the gain (1 + e) / (1 + mu), and the robot's recoil tells the two apart. What is learned from
 one pair holds for others by the prior: one object has one mass, whoever hits it; restitutions are much alike.
 """
 
@@ -68,10 +69,14 @@ def get_pair(memory: WorldMemory, k: int, r: int, o: int) -> tuple[float, float]
 
 
 @compiled
-def compute_pair_gain(memory: WorldMemory, k: int, r: int, o: int) -> float:
-    """Return the estimated change of object o's speed per approach speed of robot r, (1 + e) / (1 + mu)."""
+def compute_pair_gain(memory: WorldMemory, k: int, r: int, o: int, lever: float = 0.0) -> float:
+    """Return the estimated change of object o's speed per approach speed of robot r, (1 + e) / (1 + mu + lever).
+
+    Args:
+        lever: of a hit beside the centre of mass, see `offset.compute_lever`.
+    """
     restitution, ratio = get_pair(memory, k, r, o)
-    return (1.0 + restitution) / (1.0 + ratio)
+    return (1.0 + restitution) / (1.0 + ratio + lever)
 
 
 @compiled
@@ -162,8 +167,8 @@ def settle_hit(memory: WorldMemory, options: Options, k: int, o: int) -> None:
 def learn_hit(memory: WorldMemory, options: Options, k: int, version: int, o: int) -> None:
     r"""Update a version of the Gaussian by the observed hit on object o: an iterated extended Kalman filter.
 
-    With the errors epsilon of the velocities before and eta of those after, alpha = (1 + e) / (1 + mu) and the measured
-    approach s_m = s + epsilon_R - epsilon_O,
+    With the errors epsilon of the velocities before and eta of those after, alpha = (1 + e) / (1 + mu + lever) and the
+    measured approach s_m = s + epsilon_R - epsilon_O,
 
     dv_O,m = alpha s_m + (alpha - 1) epsilon_O - alpha epsilon_R + eta_O
     dv_R,m = alpha mu s_m + alpha mu epsilon_O + (1 - alpha mu) epsilon_R - eta_R
@@ -171,7 +176,7 @@ def learn_hit(memory: WorldMemory, options: Options, k: int, version: int, o: in
     Restitution is kept in [0, 1]: the mean moves to the most likely point inside.
     """
     hit = memory.hit[k, o]
-    s = hit.contact.approach
+    s, unmoved = hit.contact.approach, 1.0 + hit.contact.lever
     if not hit.is_pending or hit.gained_variance == 0.0 or s < options.impact_parameters.slowest:
         return
     V_o, V_r = hit.contact.object_variance, hit.contact.robot_variance
@@ -183,10 +188,10 @@ def learn_hit(memory: WorldMemory, options: Options, k: int, version: int, o: in
     oo, rr, cross, w_o, w_r = 1.0, 1.0, 0.0, 0.0, 0.0
     for _ in range(options.impact_parameters.iterations):
         mu = math.exp(b)
-        alpha = (1.0 + e) / (1.0 + mu)
+        alpha = (1.0 + e) / (unmoved + mu)
         # Derivatives of the changes of object and robot by e and log mu.
-        o_e, o_b = s / (1.0 + mu), -s * alpha * mu / (1.0 + mu)
-        r_e, r_b = s * mu / (1.0 + mu), s * alpha * mu / (1.0 + mu)
+        o_e, o_b = s / (unmoved + mu), -s * alpha * mu / (unmoved + mu)
+        r_e, r_b = s * mu / (unmoved + mu), s * alpha * mu * unmoved / (unmoved + mu)
         oo = hit.gained_variance + (alpha - 1.0) ** 2 * V_o + alpha * alpha * V_r
         rr = hit.recoil_variance + (alpha * mu) ** 2 * V_o + (1.0 - alpha * mu) ** 2 * V_r
         cross = (alpha - 1.0) * alpha * mu * V_o - alpha * (1.0 - alpha * mu) * V_r

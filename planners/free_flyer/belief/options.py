@@ -50,6 +50,7 @@ class Estimation:
     flight: float = 1e-5  # unmodelled acceleration of objects [m/s^2]
     kept: float = 3e-4  # the same, of objects that keep their velocity [m/s^2]
     drift: float = 5e-4  # standard deviation of the constant acceleration of an object [m/s^2]
+    offset: Positive = 0.02  # of an object's centre of mass from its geometric centre, per axis [m]
 
 
 @dataclass(frozen=True)
@@ -228,6 +229,7 @@ class Options:
         learn: estimate restitution and mass from what impacts did.
         retime: move an impact to when the object is where it should be hit, and try a missed one again.
         drift: a constant unknown acceleration of every object in its filter.
+        offset: of every object's centre of mass from its geometric centre in its filter.
         insert: add an unplanned impact when the object would miss its next target; slow it gently at the goal.
         reoptimise: choose times and places of the impacts that are left anew after each one.
         plan_anew: plan the rest in the background, with who hits what open, where that fails.
@@ -241,6 +243,7 @@ class Options:
     learn: bool = True
     retime: bool = True
     drift: bool = True
+    offset: bool = True
     insert: bool = True
     reoptimise: bool = True
     plan_anew: bool = True
@@ -267,6 +270,7 @@ _PAPER = Options(
     learn=False,
     retime=False,
     drift=False,
+    offset=False,
     insert=False,
     reoptimise=False,
     plan_anew=False,
@@ -283,6 +287,7 @@ _LADDER: tuple[tuple[str, dict[str, Any]], ...] = (
     ("with_drift", {"drift": True}),
     ("with_insertion", {"insert": True}),
     ("with_reoptimisation", {"reoptimise": True}),
+    ("with_offset", {"offset": True}),
 )
 
 

@@ -27,6 +27,7 @@ BODY = np.dtype(
         ("start_rate", float),  # [rad/s]
         ("mass", float),  # [kg]
         ("radius", float),  # [m]
+        ("gyration", float),  # inertia over mass [m^2]
         ("speed_limit", float),  # per axis [m/s]
         ("spread", float),  # greatest half width of the box it may start in [m]
         ("keep_force", float),  # by which an object keeps its velocity [N]
@@ -160,6 +161,7 @@ def _make_bodies(scenario: FreeFlyerScenario) -> np.ndarray:
         row["start"], row["start_velocity"] = body.start, body.start_velocity
         row["heading"], row["start_rate"] = body.heading, body.start_rate
         row["mass"], row["radius"], row["speed_limit"] = body.mass, body.radius, body.speed_limit
+        row["gyration"] = body.inertia / body.mass
         row["spread"] = max(getattr(body, "start_uncertainty", (0.0, 0.0)))
         row["keep_force"] = getattr(body, "keep_force", 0.0)
         row["jump"] = max(_bound_jump(body, other) for other in (None, *bodies) if other is not body)

@@ -20,18 +20,24 @@ from planners.free_flyer.tracking.mpc import STAGES
 NO_OBJECT, NO_ROBOT = -1, -1
 NOBODY, UNKNOWN = -2, -1  # in WorldMemory.touch: touched nothing; touched something, but nothing is near
 
-# The estimate of one body, a Kalman filter. Both axes share one covariance.
+# The estimate of one body, a Kalman filter. Both axes share one covariance, over the complex numbers: real parts are of
+# the same axis, imaginary ones of different axes; P_xy = E[x conj(y)]. See `offset`.
 FILTER = np.dtype(
     [
-        ("position", float, 2),  # [m]
-        ("velocity", float, 2),  # [m/s]
+        ("position", float, 2),  # of the geometric centre [m]
+        ("velocity", float, 2),  # of the centre of mass [m/s]
         ("drift", float, 2),  # constant unknown acceleration [m/s^2]
         ("P_pp", float),  # covariance of position p, velocity v and acceleration a per axis
-        ("P_pv", float),
-        ("P_pa", float),
+        ("P_pv", complex),
+        ("P_pa", complex),
         ("P_vv", float),
-        ("P_va", float),
+        ("P_va", complex),
         ("P_aa", float),
+        ("offset", float, 2),  # of the geometric centre from the centre of mass, in the body's frame, d [m]
+        ("P_pd", complex),
+        ("P_vd", complex),
+        ("P_ad", complex),
+        ("P_dd", float),  # 0: the two are one
     ]
 )
 HEADING = np.dtype(
@@ -80,6 +86,7 @@ STRIKE = np.dtype(
         ("is_solved", bool),
         ("outcome", int),  # a two_body.Outcome
         ("change", float),  # of the object's velocity, its size [m/s]
+        ("lever", float),  # of the hit, see `offset.compute_lever`
         ("normal", float, 2),  # unit vector from robot to object
         ("contact", float, 2),  # centre of the robot [m]
         ("robot_minus", float, 2),  # velocity of the robot just before and after [m/s]
@@ -100,6 +107,8 @@ CONTACT = np.dtype(
         ("approach", float),  # speed of the robot towards the body [m/s]
         ("normal", float, 2),  # unit vector from robot to body
         ("free_velocity", float, 2),  # of the robot, had there been no contact [m/s]
+        ("angle", float),  # heading of the body [rad]
+        ("lever", float),  # of the hit, see `offset.compute_lever`
         ("object_variance", float),  # of the velocities of object and robot before it [m^2/s^2]
         ("robot_variance", float),
     ]

@@ -146,7 +146,7 @@ def fill_reference(plan: PlanTable, memory: WorldMemory, workspace: Workspace, c
         durations[node - 1] = ahead - (node - 1) * h
         durations[node] = (node + 1) * h - ahead
         # The robot's own jump: v+ = v- - c (n . v- - n . v_O) n with c = alpha m_O / m_R.
-        gain = compute_pair_gain(memory, k, r, o) * get_pair(memory, k, r, o)[1]
+        gain = compute_pair_gain(memory, k, r, o, strike.lever) * get_pair(memory, k, r, o)[1]
         jump[0], jump[1], jump[2] = strike.normal[0], strike.normal[1], gain
         jump[3] = strike.normal[0] * strike.object_minus[0] + strike.normal[1] * strike.object_minus[1]
     workspace.node[c] = node

@@ -12,6 +12,7 @@ from planners.free_flyer.belief.impact_parameters import (
     start_pairs,
     watch_recoil,
 )
+from planners.free_flyer.belief.offset import compute_lever
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import (
@@ -204,7 +205,7 @@ def learn_from_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: i
     """
     seen = False
     for o in range(len(plan.first)):
-        hit, z = memory.hit[k, o], memory.filter[k, plan.robots + o]
+        hit, z, body = memory.hit[k, o], memory.filter[k, plan.robots + o], plan.body[plan.robots + o]
         since = now - hit.time
         if not hit.is_pending:
             continue
@@ -218,8 +219,9 @@ def learn_from_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: i
             hit.seen += 1 if hit.ratio == 0.0 else 0
             hit.ratio = math.hypot(x, y) / hit.commanded
         if options.learn and now >= hit.learned_at + options.timing.learn_period - ROUND_OFF:
+            hit.contact.lever = compute_lever(z, body.gyration, hit.contact.angle, hit.contact.normal[0], hit.contact.normal[1])
             hit.gained = x * hit.contact.normal[0] + y * hit.contact.normal[1]
-            variance = max(z.P_vv - 2.0 * since * z.P_va + since * since * z.P_aa, 0.0)
+            variance = max(z.P_vv - 2.0 * since * z.P_va.real + since * since * z.P_aa, 0.0)
             variance += (
                 memory.velocity_error[k, plan.robots + o]
                 + options.impact_parameters.object_floor * options.impact_parameters.object_floor

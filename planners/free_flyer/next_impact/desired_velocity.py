@@ -6,6 +6,7 @@ import math
 
 from impact_envs.compiled import compiled
 from planners.free_flyer.belief.estimator import extrapolate_flight
+from planners.free_flyer.belief.offset import extrapolate_swing
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory
@@ -81,7 +82,7 @@ def choose_desired_velocity(
     """Return the velocity object o should have after its coming impact [m/s]."""
     strike, body = memory.strike[k, o], plan.robots + o
     z, time = memory.filter[k, body], strike.time
-    x, y, _, _ = extrapolate_flight(memory, k, body, time)
+    x, y = find_mass(memory, k, body, time)
     knot, due, last = find_next_knot(plan, memory, k, o, strike.is_inserted)
     target_x, target_y = memory.place[k, knot, 0], memory.place[k, knot, 1]
     duration = max(due - time, options.aim.shortest_leg if last else 2.0)
@@ -108,6 +109,16 @@ def choose_desired_velocity(
             best, chosen = score, share
     end_x, end_y = x + chosen * (target_x - x), y + chosen * (target_y - y)
     return compute_desired_velocity(x, y, end_x, end_y, duration, z.drift[0], z.drift[1], limit)
+
+
+@compiled
+def find_mass(memory: WorldMemory, k: int, i: int, time: float) -> tuple[float, float]:
+    """Return where the centre of mass of body i is in free flight at a time: the mean of where its centre will be."""
+    x, y, _, _ = extrapolate_flight(memory, k, i, time)
+    if memory.filter[k, i].P_dd > 0.0:
+        rx, ry, _, _ = extrapolate_swing(memory, k, i, time)
+        x, y = x - rx, y - ry
+    return x, y
 
 
 @compiled

@@ -18,6 +18,7 @@ from planners.free_flyer.next_impact.desired_velocity import (
     compute_margin,
     compute_room,
     compute_turn,
+    find_mass,
     find_share,
 )
 from planners.free_flyer.next_impact.reachability import compute_arrival, compute_time, find_contact, is_reachable
@@ -127,7 +128,8 @@ def choose_robot(
         share = find_share(plan, options, knot, x, y, target_x, target_y)
         target_x, target_y = x + share * (target_x - x), y + share * (target_y - y)
     limit = plan.body[body].speed_limit
-    wish = compute_desired_velocity(x, y, target_x, target_y, duration, z.drift[0], z.drift[1], limit)
+    from_x, from_y = find_mass(memory, k, body, time)
+    wish = compute_desired_velocity(from_x, from_y, target_x, target_y, duration, z.drift[0], z.drift[1], limit)
     dx, dy = wish[0] - vx, wish[1] - vy
     change = math.hypot(dx, dy)
     best, found = options.insertion.side, NO_ROBOT

@@ -7,6 +7,7 @@ import math
 from impact_envs.compiled import compiled
 from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.impact_parameters import get_pair
+from planners.free_flyer.belief.offset import compute_lever, extrapolate_swing
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory
@@ -36,13 +37,34 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     cos, sin, dx, dy = math.cos(angle), math.sin(angle), wish[0] - vx, wish[1] - vy
     dx, dy = scale * (cos * dx - sin * dy), scale * (sin * dx + cos * dy)
     dx, dy, distance = turn_to_centre(plan, memory, options, k, o, time - now, dx, dy)
+    z, match_x, match_y = memory.filter[k, body], vx, vy
+    strike.lever = 0.0
+    if z.P_dd > 0.0:
+        # The place that is hit is the geometric centre's, whose velocity along the normal is its own.
+        _, _, sx, sy = extrapolate_swing(memory, k, body, time)
+        vx, vy, match_x, match_y = vx + sx, vy + sy, vx + sx, vy + sy
+    if z.P_dd > 0.0 and (dx != 0.0 or dy != 0.0):
+        size, gyration, heading = math.hypot(dx, dy), plan.body[body].gyration, memory.heading[k, body]
+        ahead = heading.angle + (time - now) * heading.rate
+        nx, ny = dx / size, dy / size
+        strike.lever = compute_lever(z, gyration, ahead, nx, ny)
     desired = (vx + dx, vy + dy)
     normal = (strike.reference_normal[0], strike.reference_normal[1])
     restitution, ratio = get_pair(memory, k, r, o)
     mass, reach, limit = plan.body[r].mass, plan.body[r].radius + distance, plan.body[r].speed_limit
     if options.exact:
         solution = solve_two_body_impact(
-            (x, y), (vx, vy), desired, (vx, vy), normal, mass, ratio * mass, restitution, reach, limit
+            (x, y),
+            (vx, vy),
+            desired,
+            (match_x, match_y),
+            normal,
+            mass,
+            ratio * mass,
+            restitution,
+            reach,
+            limit,
+            strike.lever,
         )
     else:
         robot_wish = (vx, vy)
@@ -62,6 +84,7 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
             limit,
             1.0,
             options.published.robot_weight,
+            strike.lever,
         )
     strike.outcome, strike.is_solved = solution.outcome.value, True
     strike.normal[0], strike.normal[1] = solution.normal

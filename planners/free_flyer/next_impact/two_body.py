@@ -71,6 +71,17 @@ def clip_tangential(normal_speed: float, wish: float, normal: Pair, limit: float
 
 
 @compiled
+def compute_lever_gain(restitution: float, robot_mass: float, object_mass: float, lever: float) -> float:
+    """Return alpha = (1 + e) / (1 + m_O / m_R + lever), the object's change of speed per speed of approach.
+
+    Args:
+        restitution, robot_mass, object_mass, lever: see `solve_two_body_impact`.
+    """
+    gain = compute_velocity_gain(restitution, robot_mass, object_mass)
+    return gain / (1.0 + lever * robot_mass / (robot_mass + object_mass))
+
+
+@compiled
 def solve_two_body_impact(
     object_position: Pair,
     object_minus: Pair,
@@ -82,6 +93,7 @@ def solve_two_body_impact(
     restitution: float,
     reach: float,
     speed_limit: float,
+    lever: float = 0.0,
 ) -> TwoBodyImpact:
     r"""Solve the two-body impact problem in closed form.
 
@@ -101,6 +113,8 @@ def solve_two_body_impact(
         restitution: coefficient of restitution e.
         reach: r_R + r_O [m].
         speed_limit: greatest speed of the robot per axis [m/s].
+        lever: of a hit beside the object's centre of mass, see `offset.compute_lever`; then v_O^- is the velocity of
+            the geometric centre, and v_O^+ the one it would have if the object did not turn.
 
     Returns:
         The answer, whose outcome says whether it is exact.
@@ -111,7 +125,7 @@ def solve_two_body_impact(
     size = math.hypot(delta_x, delta_y)
     needed = size > NO_CHANGE
     normal = (delta_x / size, delta_y / size) if needed else default_normal
-    alpha = compute_velocity_gain(restitution, robot_mass, object_mass)
+    alpha = compute_lever_gain(restitution, robot_mass, object_mass, lever)
     approach = size / alpha if needed else 0.0
     return limit_approach(
         object_position,
@@ -142,6 +156,7 @@ def solve_soft_two_body_impact(
     speed_limit: float,
     object_weight: float,
     robot_weight: float,
+    lever: float = 0.0,
 ) -> TwoBodyImpact:
     r"""Solve the two-body impact problem with both velocities as wishes, exactly, as a 2x2 eigenproblem.
 
@@ -159,7 +174,7 @@ def solve_soft_two_body_impact(
         object_position, object_minus, object_desired: see `solve_two_body_impact`.
         robot_wish: w, velocity that the robot should have before [m/s].
         default_normal: unit normal to take where all are equally good.
-        robot_mass, object_mass, restitution, reach, speed_limit: see `solve_two_body_impact`.
+        robot_mass, object_mass, restitution, reach, speed_limit, lever: see `solve_two_body_impact`.
         object_weight: w_O, positive, on the object's velocity [s^2/m^2].
         robot_weight: w_R, positive, on the robot's velocity [s^2/m^2].
 
@@ -168,7 +183,7 @@ def solve_soft_two_body_impact(
 
     Source: Verhagen & Tumova, Appendix A, Eq. 32 with squared norms, and Eq. 6.
     """
-    alpha = compute_velocity_gain(restitution, robot_mass, object_mass)
+    alpha = compute_lever_gain(restitution, robot_mass, object_mass, lever)
     gx, gy = robot_wish[0] - object_minus[0], robot_wish[1] - object_minus[1]
     pull, D = object_weight * alpha, object_weight * alpha * alpha + robot_weight
     bx = pull * (object_desired[0] - object_minus[0]) + robot_weight * gx
