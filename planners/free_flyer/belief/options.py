@@ -104,7 +104,9 @@ class Aim:
     full_correction: float = 15.0  # [s]
     deep_enough: Share = 0.65  # share of the plan's margin
     bend: float = 0.25  # from the straight way that a drifting object may fly, at most half the next knot's depth [m]
-    cruise: float = 0.15  # speed at which any leg can be flown [m/s]
+    cruise: float = 0.15  # speed at which any leg can be flown [m/s],
+    hurry: float = 1.15  # or so many times the plan's, where the plan itself is faster,
+    fastest: Share = 0.95  # up to this share of the object's limit
     shares: Count = 20  # of the way to the plan's end that are tried,
     smallest: float = 1e-3  # and the preference for a short way [m]
     same_side: Cosine = 0.3  # cosine by which an impulse may turn from the planned normal without its robot going round

@@ -21,6 +21,26 @@ def compute_time(plan: PlanTable, options: Options, r: int, d: float) -> float:
 
 
 @compiled
+def compute_leg_speed(plan: PlanTable, options: Options, o: int, index: int, least: float) -> float:
+    """Return the speed per axis at which object o may fly its leg after a planned impact [m/s].
+
+    A plan for a tight deadline has fast legs; the same leg has to be flown as fast after the impact before it was late.
+
+    Args:
+        index: of the planned impact, followed by another one or by the end.
+        least: speed that any leg may have [m/s].
+    """
+    following = plan.impact[index].next
+    if following == NO_IMPACT:
+        return least
+    here, there = plan.knot[index].position, plan.knot[following].position
+    way = max(abs(there[0] - here[0]), abs(there[1] - here[1]))
+    planned = way / (plan.impact[following].time - plan.impact[index].time)
+    fastest = options.aim.fastest * plan.body[plan.robots + o].speed_limit
+    return max(least, min(options.aim.hurry * planned, fastest))
+
+
+@compiled
 def find_contact(plan: PlanTable, memory: WorldMemory, k: int, index: int) -> tuple[float, float]:
     """Return where a planned impact's robot is to be, with the object at its wanted place and the planned normal."""
     impact = plan.impact[index]

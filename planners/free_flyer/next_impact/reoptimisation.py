@@ -20,7 +20,7 @@ from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.next_impact.projection import FOUND, project_point
-from planners.free_flyer.next_impact.reachability import compute_time
+from planners.free_flyer.next_impact.reachability import compute_leg_speed, compute_time
 from planners.free_flyer.next_impact.rest_qp import (
     MOST_KNOTS,
     Rest,
@@ -74,7 +74,7 @@ def reoptimise_rest(
     _set_references(plan, memory, options, rest, k, o)
     _add_demands(plan, rest)
     _add_order(plan, memory, options, rest, k, now)
-    _add_flights(plan, options, rest, plan.body[plan.robots + o].speed_limit)
+    _add_flights(plan, options, rest, o)
     _add_robots(plan, memory, options, rest, k, o, now)
     point = qp.point[c, :size]
     for i in range(size):
@@ -177,11 +177,12 @@ def _add_order(plan: PlanTable, memory: WorldMemory, options: Options, rest: Res
 
 
 @compiled
-def _add_flights(plan: PlanTable, options: Options, rest: Rest, limit: float) -> None:
+def _add_flights(plan: PlanTable, options: Options, rest: Rest, o: int) -> None:
     """Add the object's speed limit, and cones round the planned normals for the legs before and after an impact."""
-    fastest = options.reoptimisation.share * limit
+    limit = plan.body[plan.robots + o].speed_limit
     for i in range(rest.stages):
         here, there = rest.chain[i], rest.chain[i + 1]
+        fastest = compute_leg_speed(plan, options, o, here, options.reoptimisation.share * limit)
         for axis in range(2):
             for side in range(2):
                 sign = 1.0 - 2.0 * side

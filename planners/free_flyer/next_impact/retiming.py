@@ -11,21 +11,25 @@ from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time
 from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, compute_margin
-from planners.free_flyer.next_impact.reachability import compute_arrival, find_contact, is_reachable
+from planners.free_flyer.next_impact.reachability import (
+    compute_arrival,
+    compute_leg_speed,
+    find_contact,
+    is_reachable,
+)
 
 
 @compiled
-def compute_reserve(plan: PlanTable, memory: WorldMemory, options: Options, k: int, knot: int) -> float:
-    """Return the latest time of an impact from which all later ones can be reached [s]."""
-    latest, at = (
-        plan.horizon - max(options.retiming.reserve, options.retiming.reserve_share * plan.horizon),
-        plan.impact[knot].next,
-    )
+def compute_reserve(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, knot: int) -> float:
+    """Return the latest time of an impact of object o from which all its later ones can be reached [s]."""
+    latest = plan.horizon - max(options.retiming.reserve, options.retiming.reserve_share * plan.horizon)
+    before, at = knot, plan.impact[knot].next
     x, y = memory.place[k, knot, 0], memory.place[k, knot, 1]
     while at != NO_IMPACT:
-        latest -= math.hypot(memory.place[k, at, 0] - x, memory.place[k, at, 1] - y) / options.aim.cruise
+        speed = compute_leg_speed(plan, options, o, before, options.aim.cruise)
+        latest -= math.hypot(memory.place[k, at, 0] - x, memory.place[k, at, 1] - y) / speed
         x, y = memory.place[k, at, 0], memory.place[k, at, 1]
-        at = plan.impact[at].next
+        before, at = at, plan.impact[at].next
     return latest
 
 
@@ -37,7 +41,7 @@ def retime_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     """
     strike = memory.strike[k, o]
     index, old = strike.index, strike.time
-    latest = min(plan.knot[index].closes, max(compute_reserve(plan, memory, options, k, index), old))
+    latest = min(plan.knot[index].closes, max(compute_reserve(plan, memory, options, k, o, index), old))
     notice = options.retiming.frozen
     r = strike.robot
     place_x, place_y = find_contact(plan, memory, k, index)
