@@ -34,7 +34,7 @@ from planners.plan import Plan
 
 ONE_HOT = 6
 # Counters of normal operation, not counted as fallbacks.
-ROUTINE = ("replans", "retimed", "reoptimised", "planned_anew", "avoided")
+ROUTINE = ("replans", "retimed", "reoptimised", "planned_anew", "avoided", "detours")
 
 
 class PairEstimate(NamedTuple):

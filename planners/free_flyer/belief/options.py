@@ -207,6 +207,21 @@ class Avoidance:
 
 
 @dataclass(frozen=True)
+class Surroundings:
+    """Keeping off walls and solid obstacles, and going round them."""
+
+    clearance: float = 0.03  # kept between a robot and a wall, less than the 0.05 of plans [m]
+    late: float = 0.2  # after the expected impact, until which it is trusted to come before the wall does [s]
+    near: float = 0.02  # a course that comes nearer, and nearer than its ends are, is replaced by a detour [m]
+    margin: float = 0.08  # of the via points of detours [m]
+    samples: Count = 24  # of a course that are looked at, at most
+    intrusion: float = 10.0  # cost of a course that is too near all the time, and of twice the thrust that there is
+    waits: tuple[Share, ...] = (0.3, 0.6)  # shares of a course after which its robot may first set out
+    stretch: Count = 3  # times the duration of a way back to the plan that a detour may take
+    earlier: Positive = 0.5  # steps in which an impact is moved to before its place is in a wall [s]
+
+
+@dataclass(frozen=True)
 class Background:
     """New plans, made in a process beside the loop."""
 
@@ -234,6 +249,7 @@ class Options:
         offset: of every object's centre of mass from its geometric centre in its filter.
         insert: add an unplanned impact when the object would miss its next target; slow it gently at the goal.
         reoptimise: choose times and places of the impacts that are left anew after each one.
+        walls: keep off walls and solid obstacles as off bodies, hit objects before they are at one, and go round them.
         plan_anew: plan the rest in the background, with who hits what open, where that fails.
         tracker: what follows the courses, a name of `tracking.trackers.TRACKERS`.
         weights: of the tracking cost; in the paper those of App. B.
@@ -248,6 +264,7 @@ class Options:
     offset: bool = True
     insert: bool = True
     reoptimise: bool = True
+    walls: bool = True
     plan_anew: bool = True
     tracker: str = "mpc"
     weights: Weights = Weights()  # noqa: RUF009 - frozen
@@ -262,6 +279,7 @@ class Options:
     insertion: Insertion = Insertion()
     reoptimisation: Reoptimisation = Reoptimisation()
     avoidance: Avoidance = Avoidance()
+    surroundings: Surroundings = Surroundings()
     background: Background = Background()
 
 
@@ -275,6 +293,7 @@ _PAPER = Options(
     offset=False,
     insert=False,
     reoptimise=False,
+    walls=False,
     plan_anew=False,
     weights=PUBLISHED_WEIGHTS,
 )
@@ -290,6 +309,7 @@ _LADDER: tuple[tuple[str, dict[str, Any]], ...] = (
     ("with_insertion", {"insert": True}),
     ("with_reoptimisation", {"reoptimise": True}),
     ("with_offset", {"offset": True}),
+    ("with_walls", {"walls": True}),
 )
 
 

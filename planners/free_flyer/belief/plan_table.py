@@ -90,6 +90,7 @@ class PlanTable(NamedTuple):
         breaks: breakpoints of the robots' curves, filled up by inf, shape (r, S + 1) [s].
         coefficients: of their segments in power basis, shape (r, S, d + 1, 2) [m].
         walls: of the world: least x, least y, greatest x, greatest y, shape (4,) [m].
+        solid: corners of the solid obstacles, counter-clockwise, filled up by the last one, shape (s, c, 2) [m].
         side: SIDE of each object that is no disc, shape (objects, d).
         pilot: of each robot's tracking problem, shape (r, 52).
         last: of each object, how long the plan lets it fly after its last impact if the plan says how much it may be
@@ -109,6 +110,7 @@ class PlanTable(NamedTuple):
     breaks: np.ndarray
     coefficients: np.ndarray
     walls: np.ndarray
+    solid: np.ndarray
     side: np.ndarray
     pilot: np.ndarray
     last: np.ndarray
@@ -146,6 +148,7 @@ def make_plan_table(
         begin + breaks,
         coefficients,
         np.array([*scenario.world.lower, *scenario.world.upper], dtype=float),
+        _make_solids(scenario),
         _make_sides(scenario),
         np.array(
             [build_tracking_problem(robot, scenario.control_period, weights).row for robot in scenario.robots.values()]
@@ -272,6 +275,14 @@ def _find_walls(scenario: FreeFlyerScenario, name: str) -> list[np.ndarray]:
     sides = [(-1.0, 0.0, -scenario.world.lower[0]), (0.0, -1.0, -scenario.world.lower[1])]
     sides += [(1.0, 0.0, scenario.world.upper[0]), (0.0, 1.0, scenario.world.upper[1])]
     return [np.array([x, y, b - inset]) for x, y, b in sides]
+
+
+def _make_solids(scenario: FreeFlyerScenario) -> np.ndarray:
+    found = [np.array(obstacle.corners, float) for obstacle in scenario.obstacles.values() if obstacle.solid]
+    solid = np.zeros((len(found), max(map(len, found), default=0), 2))
+    for row, corners in zip(solid, found, strict=True):
+        row[: len(corners)], row[len(corners) :] = corners, corners[-1]
+    return solid
 
 
 def _make_sides(scenario: FreeFlyerScenario) -> np.ndarray:

@@ -163,6 +163,7 @@ COUNTERS = (
     "rejected",
     "taken_up",
     "no_action",
+    "detours",
 )
 COUNTS = np.dtype([(name, np.int64) for name in COUNTERS])
 # Assigning one of these clears a record.

@@ -1,12 +1,13 @@
-"""Keep robots off bodies that they are not to hit: barriers on their acceleration, ours and the published; compiled."""
+"""Keep robots off what they are not to hit: barriers on their acceleration, ours and the published; compiled."""
 
 from __future__ import annotations
 
 import math
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, inlined
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
+from planners.free_flyer.belief.surroundings import WALLS, measure_distance
 from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT
 
@@ -21,7 +22,8 @@ def avoid_bodies(
 
     (v_r - v_j) . n + h a . n <= sqrt(b^2 h^2 + 2 b max(d - d_min, 0)) - b h for each body j, n from robot to body, b
     the braking acceleration (of both, if both are robots): the row of a barrier, projected onto in turn. What the
-    limits leave of it is slack; a robot that hits is exempt from the object it hits.
+    limits leave of it is slack; a robot that hits is exempt from the object it hits. Where options say so, walls and
+    solid obstacles are such bodies, too.
 
     Args:
         target: body that the robot is on course to hit, or NO_TARGET.
@@ -48,18 +50,62 @@ def avoid_bodies(
             brake = options.avoidance.braking * most
             if j < plan.robots and not memory.course[k, j].ends_in_impact:
                 brake *= 2.0
-            lost = brake * h  # a control period passes before it brakes
-            fastest = math.sqrt(lost * lost + 2.0 * brake * max(room, 0.0)) - lost
+            fastest = compute_fastest(brake, room, h)
             closing = (z.velocity[0] - y.velocity[0]) * nx + (z.velocity[1] - y.velocity[1]) * ny
             excess = closing + h * (ax * nx + ay * ny) - fastest
             if excess > 0.0:
                 slack, changed = max(slack, excess), True
-                ax, ay = ax - excess / h * nx, ay - excess / h * ny
-                size = math.hypot(ax, ay)
-                if size > most:
-                    ax, ay = ax * most / size, ay * most / size
+                ax, ay = reduce_closing(ax, ay, nx, ny, excess / h, most)
+        for i in range(WALLS + len(plan.solid) if options.walls else 0):
+            fastest, nx, ny = limit_speed(plan, memory, options, k, r, target, i)
+            excess = z.velocity[0] * nx + z.velocity[1] * ny + h * (ax * nx + ay * ny) - fastest
+            if excess > 0.0:
+                slack, changed = max(slack, excess), True
+                ax, ay = reduce_closing(ax, ay, nx, ny, excess / h, most)
     memory.counts[k].avoided += 1 if changed else 0
     return ax, ay, slack
+
+
+@inlined
+def compute_fastest(brake: float, room: float, h: float) -> float:
+    """Return the speed from which a robot that may not go on for longer than a room stops in it [m/s]."""
+    lost = brake * h  # a control period passes before it brakes
+    return math.sqrt(lost * lost + 2.0 * brake * max(room, 0.0)) - lost
+
+
+@inlined
+def reduce_closing(ax: float, ay: float, nx: float, ny: float, excess: float, most: float) -> tuple[float, float]:
+    """Return an acceleration less its excess along a direction, within the greatest one [m/s^2]."""
+    ax, ay = ax - excess * nx, ay - excess * ny
+    size = math.hypot(ax, ay)
+    if size > most:
+        ax, ay = ax * most / size, ay * most / size
+    return ax, ay
+
+
+@compiled
+def limit_speed(
+    plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, target: int, i: int
+) -> tuple[float, float, float]:
+    """Return how fast robot r may close in on fixed body i [m/s], and the unit vector to it.
+
+    It stops at a clearance. On course to an impact it may come as near as the place of contact is, and need not be able
+    to brake where the impact comes first: it does not reach the wall before that.
+    """
+    z, h = memory.filter[k, r], plan.period
+    distance, nx, ny = measure_distance(plan, i, z.position[0], z.position[1])
+    gap, clearance = distance - plan.body[r].radius, options.surroundings.clearance
+    brake = options.avoidance.braking * plan.pilot[r, GAIN] * plan.pilot[r, INPUT_LIMIT]
+    if target == NO_TARGET:
+        return compute_fastest(brake, gap - clearance, h), nx, ny
+    strike = memory.strike[k, target - plan.robots]
+    left = measure_distance(plan, i, strike.contact[0], strike.contact[1])[0] - plan.body[r].radius
+    clearance = min(clearance, max(left, 0.0))
+    fastest = compute_fastest(brake, gap - clearance, h)
+    late = strike.time + options.surroundings.late - memory.time[k]
+    if left >= 0.0 and late > 0.0:
+        fastest = max(fastest, gap / max(late, h))
+    return fastest, nx, ny
 
 
 @compiled

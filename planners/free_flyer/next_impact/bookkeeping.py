@@ -24,6 +24,7 @@ from planners.free_flyer.belief.world_memory import (
     find_next_event,
 )
 from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF
+from planners.free_flyer.next_impact.detour import go_round
 from planners.free_flyer.next_impact.two_body import Outcome
 from planners.free_flyer.tracking.course import read_clock, return_to_plan, set_clock
 
@@ -128,6 +129,8 @@ def return_robot(
         options.timing.return_seconds,
         options.timing.fastest_clock,
     )
+    if options.walls:
+        go_round(plan, memory, options, k, r, now, time)
     memory.counts[k].replans += 1
 
 

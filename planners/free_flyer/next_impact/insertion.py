@@ -9,6 +9,7 @@ from planners.free_flyer.belief.estimator import compute_variance, extrapolate_f
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
+from planners.free_flyer.belief.surroundings import is_way_clear
 from planners.free_flyer.belief.world_memory import NO_ROBOT, WorldMemory, find_next_event
 from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time
 from planners.free_flyer.next_impact.desired_velocity import (
@@ -152,6 +153,8 @@ def choose_robot(
         distance = math.hypot(x - a.position[0], y - a.position[1])
         cosine = ((x - a.position[0]) * nx + (y - a.position[1]) * ny) / max(distance, ROUND_OFF)
         inside = compute_room(plan, memory, k, o, r, time, wish[0], wish[1]) >= options.insertion.wall
+        if options.walls:
+            inside = inside and is_way_clear(plan, r, a.position[0], a.position[1], px, py)
         speed = change / compute_pair_gain(memory, k, r, o)
         reachable = is_reachable(plan, memory, options, k, r, px, py, vx + speed * nx, vy + speed * ny, time - now)
         if inside and reachable and cosine > best:

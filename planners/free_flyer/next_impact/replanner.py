@@ -10,9 +10,11 @@ from planners.free_flyer.belief.impact_parameters import get_pair
 from planners.free_flyer.belief.offset import compute_lever, extrapolate_swing
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
+from planners.free_flyer.belief.surroundings import measure_gap
 from planners.free_flyer.belief.world_memory import WorldMemory
-from planners.free_flyer.next_impact.bookkeeping import set_time
+from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time
 from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, choose_desired_velocity, hasten_next_knot
+from planners.free_flyer.next_impact.detour import go_round
 from planners.free_flyer.next_impact.reachability import is_reachable
 from planners.free_flyer.next_impact.two_body import solve_soft_two_body_impact, solve_two_body_impact
 from planners.free_flyer.tracking.course import (
@@ -100,6 +102,8 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     """Plan the course of robot r to its impact on object o; a robot that lost its course may postpone the impact."""
     strike = memory.strike[k, o]
     solve_strike(plan, memory, options, k, r, o, now)
+    if options.walls and options.retime and not is_place_clear(plan, memory, k, r, o, strike.time):
+        advance_impact(plan, memory, options, k, r, o, now)
     begin = evaluate_course(memory.course[k, r], plan.breaks, plan.coefficients, r, now)
     z = memory.filter[k, r]
     if math.hypot(begin[0] - z.position[0], begin[1] - z.position[1]) > options.replanning.off_course:
@@ -138,6 +142,8 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         strike.time - steady,
         planned,
     )
+    if options.walls:
+        go_round(plan, memory, options, k, r, now, strike.time)
 
 
 @compiled
@@ -149,11 +155,54 @@ def postpone_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: i
         later = strike.time + 1.0
         if later >= plan.horizon or is_reachable(plan, memory, options, k, r, x, y, vx, vy, strike.time - now):
             return
+        if options.walls and not is_place_clear(plan, memory, k, r, o, later):
+            return
         if strike.is_inserted:
             strike.time = later
         else:
             set_time(plan, memory, k, o, strike.index, later)
         solve_strike(plan, memory, options, k, r, o, now)
+
+
+@compiled
+def is_place_clear(plan: PlanTable, memory: WorldMemory, k: int, r: int, o: int, time: float) -> bool:
+    """Return whether object o, and robot r that hits it along the present normal, are in no wall or obstacle then."""
+    body, normal = plan.robots + o, memory.strike[k, o].normal
+    x, y, _, _ = extrapolate_flight(memory, k, body, time)
+    reach = plan.body[r].radius + plan.body[body].radius
+    return (
+        measure_gap(plan, r, x - reach * normal[0], y - reach * normal[1]) >= 0.0
+        and measure_gap(plan, body, x, y) >= 0.0
+    )
+
+
+@compiled
+def advance_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> None:
+    """Move the impact of robot r on object o to the latest time before at which its place is in no wall or obstacle.
+
+    The robot has to be there in time; otherwise the impact stays when it is.
+    """
+    strike = memory.strike[k, o]
+    old, earliest = strike.time, now + options.retiming.frozen
+    if not strike.is_inserted:
+        earliest = max(earliest, plan.knot[strike.index].opens)
+    time = old - options.surroundings.earlier
+    while time >= earliest:
+        if is_place_clear(plan, memory, k, r, o, time):
+            strike.time = time
+            solve_strike(plan, memory, options, k, r, o, now)
+            x, y, vx, vy = strike.contact[0], strike.contact[1], strike.robot_minus[0], strike.robot_minus[1]
+            if measure_gap(plan, r, x, y) >= 0.0 and is_reachable(
+                plan, memory, options, k, r, x, y, vx, vy, time - now
+            ):
+                memory.counts[k].retimed += 1
+                if not strike.is_inserted:
+                    set_time(plan, memory, k, o, strike.index, time)
+                set_clocks(plan, memory, options, k, now)
+                return
+        time -= options.surroundings.earlier
+    strike.time = old
+    solve_strike(plan, memory, options, k, r, o, now)
 
 
 @compiled

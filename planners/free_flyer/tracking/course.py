@@ -1,6 +1,6 @@
 """Courses: where one robot goes, as its plan read with its own clock plus a quintic; compiled.
 
-course(t) = plan(tau(t)) + sum_j c_j (t - since)^j until `until`,
+course(t) = plan(tau(t)) + sum_j c_j (t - since)^j until `until`; before `since` c_j and `set_out` of the first quintic,
 tau = clock_tau + rate (t - clock_start), at most `stop`
 """
 
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, inlined
 from planners.bezier import Curve
 
 COURSE = np.dtype(
@@ -21,8 +21,10 @@ COURSE = np.dtype(
         ("clock_tau", float),  # the plan's time then [s]
         ("rate", float),  # plan seconds per second
         ("stop", float),  # the plan's time at which it stops [s]
-        # The quintic that is added.
-        ("since", float),  # it begins [s]
+        # The quintic that is added; on a detour another one comes before it.
+        ("set_out", float),  # that begins [s]
+        ("first", float, (6, 2)),  # its coefficients c_j [m/s^j]
+        ("since", float),  # the last one begins [s]
         ("until", float),  # it ends [s]
         ("quintic", float, (6, 2)),  # its coefficients c_j [m/s^j]
         ("ends_in_impact", bool),  # after the quintic the robot goes straight on, otherwise by its plan
@@ -125,15 +127,26 @@ def evaluate_course(course: np.record, breaks: np.ndarray, coefficients: np.ndar
         rate = 0.0
     vx, vy, ax, ay = vx * rate, vy * rate, ax * rate * rate, ay * rate * rate
     if now <= until:
-        s = now - course.since
-        qx, qy, ux, uy, wx, wy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for j in range(5, -1, -1):
-            wx, wy = wx * s + 2.0 * ux, wy * s + 2.0 * uy
-            ux, uy = ux * s + qx, uy * s + qy
-            qx, qy = qx * s + course.quintic[j, 0], qy * s + course.quintic[j, 1]
+        qx, qy, ux, uy, wx, wy = evaluate_quintic(course, now)
         px, py, vx, vy, ax, ay = px + qx, py + qy, vx + ux, vy + uy, ax + wx, ay + wy
     if t > now:
         return px + (t - now) * vx, py + (t - now) * vy, vx, vy, 0.0, 0.0
+    return px, py, vx, vy, ax, ay
+
+
+@inlined
+def evaluate_quintic(course: np.record, t: float) -> Motion:
+    """Return what a COURSE adds to its plan at a time until its `until`."""
+    early = t < course.since
+    s = t - (course.set_out if early else course.since)
+    px, py, vx, vy, ax, ay = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(5, -1, -1):
+        cx, cy = course.quintic[j, 0], course.quintic[j, 1]
+        if early:
+            cx, cy = course.first[j, 0], course.first[j, 1]
+        ax, ay = ax * s + 2.0 * vx, ay * s + 2.0 * vy
+        vx, vy = vx * s + px, vy * s + py
+        px, py = px * s + cx, py * s + cy
     return px, py, vx, vy, ax, ay
 
 
@@ -155,6 +168,49 @@ def fit_quintic(course: np.record, begin: Motion, end: Motion) -> None:
         course.quintic[3, axis] = 10 * p - 4 * v + a / 2
         course.quintic[4, axis] = (-15 * p + 7 * v - a) / T
         course.quintic[5, axis] = (6 * p - 3 * v + a / 2) / T**2
+
+
+@compiled
+def fit_detour(
+    course: np.record, begin: Motion, end: Motion, via: tuple[float, float], start: float, time: float
+) -> None:
+    """Write two quintics through a via point into a COURSE, of least jerk: jerk and snap are continuous there.
+
+    In each axis velocity v and acceleration a at the via point solve, with q = 1 / duration of the pieces 1 and 2 and d
+    the ways from the via point to both ends,
+        6 (q_1^2 - q_2^2) v - 1.5 (q_1 + q_2) a = -10 (d_1 q_1^3 + d_2 q_2^3) - 4 (v_0 q_1^2 - v_1 q_2^2)
+                                                  - 0.5 (a_0 q_1 + a_1 q_2)
+        8 (q_1^3 + q_2^3) v - 1.5 (q_1^2 - q_2^2) a = 15 (d_2 q_2^4 - d_1 q_1^4) - 7 (v_0 q_1^3 + v_1 q_2^3)
+                                                  - a_0 q_1^2 + a_1 q_2^2
+
+    Args:
+        course: a COURSE.
+        begin, end: motions that are added to the plan at the start and at `until`.
+        via: position that is added to the plan there [m].
+        start, time: of the course and at the via point, start < time < until [s].
+    """
+    p, q = 1.0 / (time - start), 1.0 / (course.until - time)
+    vx, ax = _find_middle(p, q, begin[0] - via[0], end[0] - via[0], begin[2], end[2], begin[4], end[4])
+    vy, ay = _find_middle(p, q, begin[1] - via[1], end[1] - via[1], begin[3], end[3], begin[5], end[5])
+    middle, until = (via[0], via[1], vx, vy, ax, ay), course.until
+    course.since, course.until = start, time
+    fit_quintic(course, begin, middle)
+    for j in range(6):
+        course.first[j, 0], course.first[j, 1] = course.quintic[j, 0], course.quintic[j, 1]
+    course.set_out, course.since, course.until = start, time, until
+    fit_quintic(course, middle, end)
+
+
+@inlined
+def _find_middle(
+    p: float, q: float, d_0: float, d_1: float, v_0: float, v_1: float, a_0: float, a_1: float
+) -> tuple[float, float]:
+    """Return velocity and acceleration of one axis at the via point of `fit_detour`."""
+    right = -10.0 * (d_0 * p**3 + d_1 * q**3) - 4.0 * (v_0 * p * p - v_1 * q * q) - 0.5 * (a_0 * p + a_1 * q)
+    below = 15.0 * (d_1 * q**4 - d_0 * p**4) - 7.0 * (v_0 * p**3 + v_1 * q**3) - a_0 * p * p + a_1 * q * q
+    a, b, c, d = 6.0 * (p * p - q * q), -1.5 * (p + q), 8.0 * (p**3 + q**3), -1.5 * (p * p - q * q)
+    determinant = a * d - b * c
+    return (right * d - b * below) / determinant, (a * below - c * right) / determinant
 
 
 @compiled

@@ -1,6 +1,8 @@
-"""A robot brakes in time before what it is not to hit, and leaves alone what it is to hit."""
+"""A robot brakes in time before what it is not to hit, walls among it, and leaves alone what it is to hit."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from planners.free_flyer.belief.world_memory import WorldMemory, make_world_memo
 from planners.free_flyer.closed_loop.avoidance import NO_TARGET, avoid_bodies, hold_barrier
 from planners.free_flyer.tracking.mpc import FEEDBACK, GAIN, INPUT_LIMIT
 from tests.planners.free_flyer.plans import load, set_estimate
+from tests.planners.free_flyer.plans import make_plan as make_resting_plan
 
 OPTIONS = make_record(EXPERT)[0]
 
@@ -69,6 +72,61 @@ def test_leaves_a_target_and_what_flies_away_alone(table: PlanTable) -> None:
     memory.filter["velocity"][0, 2, 0] = 0.4
     assert avoid_bodies(table, memory, OPTIONS, 0, 0, NO_TARGET, 0.01, 0.02) == (0.01, 0.02, 0.0)
     assert ay <= 0.02
+
+
+def make_crew() -> tuple[PlanTable, WorldMemory]:
+    """Return the crew's world of 10 m with a pillar from 4 to 6 m; all bodies but the first robot are far away."""
+    scenario = load("crew")
+    table = make_plan_table(scenario, make_resting_plan(scenario))
+    memory = make_world_memory(table, 1)
+    memory.filter["position"][0] = [(60.0 + 5.0 * i, 60.0) for i in range(len(table.body))]
+    return table, memory
+
+
+def drive(wish: tuple[float, float], start: tuple[float, ...], walls: bool = True) -> np.ndarray:
+    """Let the first robot push as it wishes for 60 s, as far as it may; return its places, shape (600, 2)."""
+    table, memory = make_crew()
+    z, places, options = memory.filter[0, 0], [], make_record(replace(EXPERT, walls=walls))[0]
+    z["position"], z["velocity"] = start[:2], start[2:]
+    for _ in range(600):
+        a = np.array(avoid_bodies(table, memory, options, 0, 0, NO_TARGET, *wish)[:2])
+        z["position"] += PERIOD * z["velocity"] + PERIOD**2 / 2 * a
+        z["velocity"] += PERIOD * a
+        places.append(z["position"].copy())
+    return np.array(places)
+
+
+@pytest.mark.parametrize("speed", [0.0, -0.3, -0.4])
+def test_robot_driven_at_a_wall_stops_before_it(speed: float) -> None:
+    """Its radius is 0.2 m; it stops at the clearance and stays there."""
+    places = drive((-0.08, 0.0), (3.0, 8.0, speed, 0.0))
+    assert places[:, 0].min() > 0.2
+    assert places[-1] == pytest.approx((0.2 + EXPERT.surroundings.clearance, 8.0), abs=1e-3)
+    assert drive((-0.08, 0.0), (3.0, 8.0, speed, 0.0), walls=False)[-1, 0] < -9.0
+
+
+def test_robot_driven_at_a_solid_obstacle_or_into_a_corner_stops_before_it() -> None:
+    places = drive((0.05, 0.0), (2.0, 4.5, 0.2, 0.0))
+    assert places[-1] == pytest.approx((3.8 - EXPERT.surroundings.clearance, 4.5), abs=1e-3)
+    assert places[:, 0].max() < 3.8
+    assert drive((-0.05, -0.05), (2.0, 2.0, 0.0, 0.0))[-1] == pytest.approx((0.23, 0.23), abs=2e-3)
+
+
+def test_place_of_contact_near_a_wall_can_be_reached() -> None:
+    """A robot that is to hit something 1 cm off the wall may come there, and need not be able to brake before that."""
+    table, memory = make_crew()
+    set_estimate(memory.filter[0, 0, ...], (0.35, 5.0), (-0.25, 0.0))
+    memory.time[0] = 10.0
+    target, wish, strike = table.robots, (-0.01, 0.0), memory.strike[0, 0]
+
+    def avoid(contact: float, time: float) -> float:
+        strike["contact"], strike["time"] = (contact, 5.0), time
+        return float(avoid_bodies(table, memory, OPTIONS, 0, 0, target, *wish)[0])
+
+    assert avoid(0.21, 10.3) == -0.01
+    assert avoid(0.21, 12.0) > 0.05  # the wall comes first
+    assert avoid(0.1, 10.3) > 0.05  # in the wall: there is no such impact
+    assert avoid_bodies(table, memory, OPTIONS, 0, 0, NO_TARGET, *wish)[0] > 0.05
 
 
 def test_published_barrier_holds_where_the_thrust_is_enough(table: PlanTable) -> None:

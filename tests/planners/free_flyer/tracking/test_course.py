@@ -15,6 +15,8 @@ from planners.free_flyer.tracking.course import (
     convert_curve,
     evaluate_course,
     evaluate_curve,
+    evaluate_quintic,
+    fit_detour,
     fit_quintic,
     plan_approach,
     read_clock,
@@ -240,3 +242,20 @@ def test_published_course_starts_where_the_robot_is_and_hits_where_it_should() -
     acceleration = (at(course, 12.0 + 1e-4)[1] - at(course, 12.0 - 1e-4)[1]) / 2e-4
     np.testing.assert_allclose(slow[2], acceleration, atol=1e-6)
     np.testing.assert_allclose(at(course, 26.0)[0], np.array(CONTACT) + SPEED, atol=1e-4)
+
+
+def test_detour_goes_through_its_via_point_with_continuous_jerk_and_snap() -> None:
+    """Two quintics of least jerk: position is given at the via point, five derivatives are continuous there."""
+    course, ends = make_course(), np.random.default_rng(1).normal(size=(2, 6))
+    course["until"] = 12.0
+    fit_detour(course, tuple(ends[0]), tuple(ends[1]), (1.5, -0.4), 2.0, 7.0)
+    assert evaluate_quintic(course, 2.0) == pytest.approx(ends[0])
+    assert evaluate_quintic(course, 12.0) == pytest.approx(ends[1])
+    assert evaluate_quintic(course, 7.0)[:2] == pytest.approx((1.5, -0.4))
+    first, last = (np.polynomial.Polynomial(course[name][:, 0]) for name in ("first", "quintic"))
+    for order in range(5):
+        assert first.deriv(order)(5.0) == pytest.approx(last.deriv(order)(0.0), abs=1e-12), order
+    mirror = make_course()
+    mirror["until"] = 12.0
+    fit_detour(mirror, tuple(-ends[0]), tuple(-ends[1]), (-1.5, 0.4), 2.0, 7.0)
+    assert mirror["first"] == pytest.approx(-course["first"])
