@@ -44,8 +44,10 @@ REST_FRACTION, MOST_REST_SPEED = 2000.0, 1e-4
 # constant e; Coulomb coefficient.
 RESTITUTION, RESTITUTION_SPEED, FRICTION, CONTACT_COLUMNS = range(4)
 # Columns of Physics.body: mass [kg], inertia [kg m^2], centre of mass in the body frame from the geometric centre [m],
-# constant acceleration [m/s^2], start from where the scenario says [m].
-MASS, INERTIA, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y, START_X, START_Y, BODY_COLUMNS = range(9)
+# constant acceleration [m/s^2], start from where the scenario says [m]; greatest deviation of its velocity after an
+# impact per axis [m/s], 1 where only corners of that box occur, and the generator from which the next one is drawn.
+MASS, INERTIA, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y, START_X, START_Y, DEVIATION, CORNERS, DICE, BODY_COLUMNS = range(12)
+DICE_MODULUS = 2147483647.0  # a state of that generator is a whole number from 1 to before this
 # Columns of Physics.thruster: true over commanded force, positive and negative per channel Fx, Fy, torque.
 GAIN, THRUSTER_COLUMNS = 0, 6
 
@@ -188,6 +190,9 @@ class Truth(Table):
     weak_thruster: Annotated[Size, Drawn("world", (SHARE, SHARE, SHARE))] = 1.0
     # An object starts anywhere in its box of start_uncertainty: 1 in all of it, 0 at its centre.
     start_spread: Annotated[Share, Drawn("object", (SIDE, SIDE), spare=True)] = 0.0
+    # Each impact of a robot adds up to so much per axis to the object's velocity, drawn anew, and takes the momentum
+    # from the robot's; in half of the worlds anything up to it, in the others it or its opposite [m/s].
+    impact_deviation: Annotated[Size, Drawn("object", (SHARE, SHARE), spare=True)] = 0.0
 
     thruster_on_off: bool = False  # thrusters are off or full at the control rate
     position_noise: NonNegative = 0.0  # standard deviation per axis [m]
@@ -196,8 +201,9 @@ class Truth(Table):
 
     @property
     def moves_bodies(self) -> bool:
-        """Return whether in any world a centre of mass is offset, or anything accelerates or is moved by itself."""
-        return any(getattr(self, name) != 0.0 for name in ("center_of_mass_offset", "drift", "start_spread"))
+        """Return whether in any world a centre of mass is offset, or anything is moved but by what the law says."""
+        moved = ("center_of_mass_offset", "drift", "start_spread", "impact_deviation")
+        return any(getattr(self, name) != 0.0 for name in moved)
 
     @property
     def changes_thrusters(self) -> bool:
@@ -212,7 +218,7 @@ class Physics(NamedTuple):
 
     Attributes:
         contact: shape (3,).
-        body: shape (n, 8); what is not mass or inertia is zero for robots.
+        body: shape (n, 11); what is not mass or inertia is zero for robots.
         thruster: shape (robots, 6).
         true: what is not drawn.
     """
@@ -327,6 +333,11 @@ class FreeFlyerScenario(Scenario):
             spread = drawn["start_spread"].reshape(worlds, n - robots, 3)
             halves = np.array([item.start_uncertainty for item in self.objects.values()]).reshape(-1, 2)
             body[:, robots:, START_X : START_Y + 1] = spread[:, :, :1] * spread[:, :, 1:] * halves
+        if self.true.impact_deviation != 0.0:
+            deviation = drawn["impact_deviation"].reshape(worlds, n - robots, 3)
+            body[:, robots:, DEVIATION] = deviation[:, :, 0]
+            body[:, robots:, CORNERS] = deviation[:, :, 1] < 0.5
+            body[:, robots:, DICE] = np.floor(1.0 + deviation[:, :, 2] * (DICE_MODULUS - 2.0))
         gains = np.empty((worlds, robots, 3, 2))
         gains[:] = drawn["thruster_gain"][:, :, None, None]
         weakest, which = np.split(drawn["weak_thruster"], (1,), axis=1)

@@ -34,7 +34,7 @@ from planners.plan import Plan
 
 ONE_HOT = 6
 # Counters of normal operation, not counted as fallbacks.
-ROUTINE = ("replans", "retimed", "reoptimised", "planned_anew", "avoided")
+ROUTINE = ("replans", "retimed", "reoptimised", "planned_anew", "avoided", "responded")
 
 
 class PairEstimate(NamedTuple):
@@ -117,7 +117,7 @@ class FreeFlyerExpert:
         name, self._tracker = find_tracker(chosen.tracker if tracker is None else tracker)
         self.options = replace(chosen, tracker=name)
         self._scenario = scenario.as_believed()
-        self.table = make_plan_table(self._scenario, plan, weights=chosen.weights)
+        self.table = make_plan_table(self._scenario, plan, weights=chosen.weights, respond=chosen.respond)
         robots = len(scenario.robots)
         self.memory = make_world_memory(self.table, 1)
         self.workspace = make_workspace(1 if self._tracker is None else robots)

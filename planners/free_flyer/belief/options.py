@@ -132,6 +132,15 @@ class Published:
 
 
 @dataclass(frozen=True)
+class Response:
+    """A plan's responses to where objects are at their impacts."""
+
+    edge: float = 5e-3  # so far outside its box an object is still answered: room for errors of tracking [m]
+    least: float = 1e-3  # change of where the object will be that changes a robot's curve; less is met at contact [m]
+    rejoin: Positive = 4.0  # in which a course goes over to a changed curve, at least [s]
+
+
+@dataclass(frozen=True)
 class Replanning:
     """The course of a robot to an impact."""
 
@@ -231,6 +240,7 @@ class Options:
         insert: add an unplanned impact when the object would miss its next target; slow it gently at the goal.
         reoptimise: choose times and places of the impacts that are left anew after each one.
         plan_anew: plan the rest in the background, with who hits what open, where that fails.
+        respond: fly the responses of a plan that has any, while objects are in the boxes it promises.
         tracker: what follows the courses, a name of `tracking.trackers.TRACKERS`.
         weights: of the tracking cost; in the paper those of App. B.
     """
@@ -244,6 +254,7 @@ class Options:
     insert: bool = True
     reoptimise: bool = True
     plan_anew: bool = True
+    respond: bool = True
     tracker: str = "mpc"
     weights: Weights = Weights()  # noqa: RUF009 - frozen
     estimation: Estimation = Estimation()
@@ -252,6 +263,7 @@ class Options:
     aim: Aim = Aim()
     reach: Reach = Reach()
     published: Published = Published()
+    response: Response = Response()
     replanning: Replanning = Replanning()
     retiming: Retiming = Retiming()
     insertion: Insertion = Insertion()
@@ -270,6 +282,7 @@ _PAPER = Options(
     insert=False,
     reoptimise=False,
     plan_anew=False,
+    respond=False,
     weights=PUBLISHED_WEIGHTS,
 )
 # What the paper has is replaced, or what it lacks is added, one part a rung: each has all parts of the rung before.
@@ -283,6 +296,7 @@ _LADDER: tuple[tuple[str, dict[str, Any]], ...] = (
     ("with_drift", {"drift": True}),
     ("with_insertion", {"insert": True}),
     ("with_reoptimisation", {"reoptimise": True}),
+    ("with_responses", {"respond": True}),
 )
 
 
