@@ -16,6 +16,9 @@ from impact_envs.file import write_atomically
 from planners.bezier import Array, Curve, read_array
 
 _STRICT = ConfigDict(extra="forbid")
+# Of the JSON: 2 has `planned_responses`; texts without a version are of version 1.
+VERSION = 2
+VERTICES = 4  # of a box in the plane
 Objective = Literal["robustness", "impact_uncertainty"]
 
 
@@ -108,6 +111,51 @@ class Tube:
     __hash__ = None  # type: ignore[assignment]
 
 
+@dataclass(frozen=True, eq=False)
+class PlannedResponse:
+    r"""Hold what the place of the object at one impact decides, in a plan that bears deviations.
+
+    With d the place over the half widths of the tube's box from its centre, in [-1, 1] per axis, the robot follows
+    sum_v prod_i (1 + v_i d_i) / 2 curve_v over its curves for the vertices v = (-, -), (-, +), (+, -), (+, +), which is
+    affine in either axis, and gives the object the velocity object_plus + gain (place - centre).
+
+    Args:
+        start: from then on the robot responds to this impact [s].
+        end: until then [s].
+        leave: when the robot leaves its responses to meet the object exactly [s].
+        join: when it is back on them after the impact [s].
+        gain: change of the wanted velocity after the impact over the place's, per axis, shape (2,) [1/s].
+
+    Raises:
+        InputError: times out of order, or a gain that is not two finite numbers.
+
+    Source: Verhagen & Tumova, Lemma 1 and Eq. (16).
+    """
+
+    start: FiniteFloat
+    end: FiniteFloat
+    leave: FiniteFloat
+    join: FiniteFloat
+    gain: Array
+
+    __pydantic_config__ = _STRICT
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "gain", read_array(self.gain))
+        if self.gain.shape != (2,):
+            raise InputError(f"planned response: gain has shape {self.gain.shape}, expected (2,)")
+        if not (self.start < self.end and self.leave < self.join):
+            times = f"start {self.start}, end {self.end}, leave {self.leave}, join {self.join}"
+            raise InputError(f"planned response: {times} s are out of order")
+
+    def __eq__(self, other: Any) -> bool:
+        return isinstance(other, PlannedResponse) and all(
+            np.array_equal(getattr(self, field.name), getattr(other, field.name)) for field in fields(self)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+
 @dataclass(frozen=True)
 class Plan:
     """Hold a motion plan for all robots and objects of a scenario.
@@ -134,6 +182,8 @@ class Plan:
         tubes: object to the boxes it stays in under such deviations.
         responses: robot to its curves for the vertices of the boxes: (x-, y-), (x-, y+), (x+, y-), (x+, y+).
         shape_error: by how much the flown robustness may be lower, because objects are no discs; 0: all are discs [m].
+        planned_responses: to each impact, in their order, when these curves hold; empty: nothing says so, as in plans of
+            version 1, and nobody follows them.
 
     Raises:
         InputError: the curves do not span [0, T], or an impact names an unknown body or time.
@@ -158,6 +208,7 @@ class Plan:
     tubes: dict[str, Tube] = field(default_factory=dict)
     responses: dict[str, tuple[Curve, ...]] = field(default_factory=dict)
     shape_error: FiniteFloat = 0.0
+    planned_responses: tuple[PlannedResponse, ...] = ()
 
     __pydantic_config__ = _STRICT
 
@@ -177,10 +228,28 @@ class Plan:
             if not previous <= impact.time <= self.horizon:
                 raise InputError(f"plan: impact time {impact.time} s is not in [{previous}, {self.horizon}] s")
             previous = impact.time
+        self._check_responses()
+
+    def _check_responses(self) -> None:
+        """Raise unless what is planned to respond can be followed."""
+        if not self.planned_responses:
+            return
+        if len(self.planned_responses) != len(self.impacts):
+            counts = f"{len(self.planned_responses)} planned responses, {len(self.impacts)} impacts"
+            raise InputError(f"plan: {counts}, expected one for each")
+        for impact in self.impacts:
+            if impact.object not in self.tubes:
+                raise InputError(f"plan: responses to {impact.object}, which has no tube")
+            curves = self.responses.get(impact.robot, ())
+            if len(curves) != VERTICES:
+                raise InputError(f"plan: {len(curves)} responses of {impact.robot}, expected {VERTICES}")
+            times = self.robots[impact.robot].times
+            if any(not np.array_equal(curve.times, times) for curve in curves):
+                raise InputError(f"plan: breakpoints of the responses of {impact.robot} are not those of its curve")
 
     def to_json(self) -> str:
         """Return the plan as JSON text; reading it back gives an equal plan, bit for bit."""
-        return json.dumps(_adapter().dump_python(self, mode="json"), allow_nan=False)
+        return json.dumps({"version": VERSION, **_adapter().dump_python(self, mode="json")}, allow_nan=False)
 
     @classmethod
     def from_json(cls, text: str) -> Plan:
@@ -193,10 +262,14 @@ class Plan:
             The plan.
 
         Raises:
-            InputError: not JSON, a key is unknown or missing, or a value does not fit.
+            InputError: not JSON, a key is unknown or missing, a value does not fit, or the version is a later one.
         """
         try:
-            return _adapter().validate_python(json.loads(text))
+            content = json.loads(text)
+            version = content.pop("version", 1) if isinstance(content, dict) else 1
+            if version not in range(1, VERSION + 1):
+                raise InputError(f"plan: version {version!r:.60} is unknown; choices: 1 to {VERSION}")
+            return _adapter().validate_python(content)
         except ValidationError as error:
             raise InputError(f"plan: {_first_line(error)}") from None
         except ValueError as error:

@@ -8,9 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.free_flyer.deviation import compute_deviation, roll_dice
 from impact_envs.free_flyer.impulse import add_held_impulses, read_contact, solve_impacts, write_contact
 from impact_envs.free_flyer.pair import CONTACT_STEP, GRAZE, PART_SPEED, REST_GAP, REST_PRESS, REST_SHARE
-from impact_envs.free_flyer.schema import MASS, RESTITUTION, RESTITUTION_SPEED
+from impact_envs.free_flyer.schema import CORNERS, DEVIATION, DICE, MASS, RESTITUTION, RESTITUTION_SPEED
 from impact_envs.free_flyer.touch import find_approach, find_gap, find_press
 from impact_envs.free_flyer.worlds import (
     ACROSS,
@@ -63,8 +64,31 @@ def resolve_impacts(
         return
     solve_impacts(worlds, scratch, c, k, n, rows)
     for row in range(rows):
+        deviate(arena, worlds, scratch, c, k, row)
         log_impact(arena, worlds, scratch, log, c, k, row, t)
     change_velocities(worlds, scratch, c, k, n)
+
+
+@compiled
+def deviate(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int, row: int) -> None:
+    """Let a robot's impact on an object deviate from the law: an impulse m_O d more, through both centres of mass."""
+    i, j, nx, ny, _, _ = read_contact(scratch, c, row)
+    if worlds.body.shape[2] <= DICE or i >= arena.robots or not arena.robots <= j < arena.discs.shape[0]:
+        return
+    size, at_corners = worlds.body[k, j, DEVIATION], worlds.body[k, j, CORNERS] > 0.0
+    if size == 0.0:
+        return
+    first = roll_dice(worlds.body[k, j, DICE])
+    second = worlds.body[k, j, DICE] = roll_dice(first)
+    dx, dy = compute_deviation(first, size, at_corners), compute_deviation(second, size, at_corners)
+    mass = worlds.body[k, j, MASS]
+    share = mass / worlds.body[k, i, MASS]
+    scratch.contacts[c, row, ALONG] += mass * (dx * nx + dy * ny)
+    scratch.contacts[c, row, ACROSS] += mass * (dy * nx - dx * ny)
+    scratch.motion[c, j, CHANGE] += dx
+    scratch.motion[c, j, CHANGE + 1] += dy
+    scratch.motion[c, i, CHANGE] -= share * dx
+    scratch.motion[c, i, CHANGE + 1] -= share * dy
 
 
 @compiled

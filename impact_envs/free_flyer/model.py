@@ -16,6 +16,7 @@ import numpy as np
 from impact_envs.errors import InputError, choices
 from impact_envs.failure import TooManyEvents
 from impact_envs.free_flyer.body import Body, make_obstacle, make_walls
+from impact_envs.free_flyer.deviation import compute_deviation, roll_dice
 from impact_envs.free_flyer.engine import fade_thruster, turn_drift
 from impact_envs.free_flyer.lasting_contact import ContactSolver
 from impact_envs.free_flyer.pair import (
@@ -35,6 +36,9 @@ from impact_envs.free_flyer.pair import (
     remove_overlap,
 )
 from impact_envs.free_flyer.schema import (
+    CORNERS,
+    DEVIATION,
+    DICE,
     DRIFT_X,
     DRIFT_Y,
     FADE,
@@ -90,6 +94,7 @@ class FreeFlyerModel:
         self.physics = physics
         self._steps = 0
         self._held: dict[Pair, np.ndarray] = {}
+        self._dice = physics.body[:, DICE].tolist()
         self._owed = {name: [0.0, 0.0] for name in self.scenario.robots}
         self._gains = dict(zip(self.scenario.robots, physics.thruster.tolist(), strict=True))
         self._bodies = [self._make_body(name) for name in self.scenario.bodies] + self._fixed
@@ -324,6 +329,8 @@ class FreeFlyerModel:
         e, e_speed = law[RESTITUTION], law[RESTITUTION_SPEED]
         restitution = {pair: compute_restitution(speeds[pair], e, e_speed) for pair in genuine}
         impulses = self._apply_impulses(genuine, restitution)
+        for pair, impulse in impulses.items():
+            impulse += self._deviate(pair)
         return [self._make_impact(pair, genuine[pair], impulses[pair], speeds[pair], time) for pair in genuine]
 
     def _does_rebound(self, pair: Pair, contact: Contact, near: list[Pair]) -> bool:
@@ -386,6 +393,23 @@ class FreeFlyerModel:
         for (pair, (nx, ny), _), along, across in zip(entries, p, q, strict=True):
             sums[pair] += along * nx - across * ny, along * ny + across * nx
         return sums
+
+    def _deviate(self, pair: Pair) -> np.ndarray:
+        """Let a robot's impact on an object deviate from the law; return the impulse that this takes, shape (2,)."""
+        (i, j), robots = pair, len(self._robots)
+        if i >= robots or not robots <= j < len(self._movable):
+            return np.zeros(2)
+        size, at_corners = (float(self.physics.body[j, column]) for column in (DEVIATION, CORNERS))
+        if size == 0.0:
+            return np.zeros(2)
+        first = roll_dice(self._dice[j])
+        self._dice[j] = second = roll_dice(first)
+        dx, dy = (float(compute_deviation(dice, size, at_corners > 0.0)) for dice in (first, second))
+        robot, item = self._get_bodies(pair)
+        item.vx, item.vy = item.vx + dx, item.vy + dy
+        share = item.mass / robot.mass
+        robot.vx, robot.vy = robot.vx - share * dx, robot.vy - share * dy
+        return item.mass * np.array([dx, dy])
 
     def _make_impact(self, pair: Pair, contact: Contact, impulse: np.ndarray, speed: float, time: float) -> Impact:
         a, b = self._get_bodies(pair)

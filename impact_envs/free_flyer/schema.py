@@ -46,8 +46,11 @@ REST_FRACTION, MOST_REST_SPEED = 2000.0, 1e-4
 RESTITUTION, RESTITUTION_SPEED, FRICTION, CONTACT_COLUMNS = range(4)
 # Columns of Physics.body: mass [kg], inertia [kg m^2], centre of mass in the body frame from the geometric centre [m],
 # acceleration at the start [m/s^2], start from where the scenario says [m], rate at which the acceleration turns
-# [rad/s].
-MASS, INERTIA, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y, START_X, START_Y, TURN, BODY_COLUMNS = range(10)
+# [rad/s]; greatest deviation of its velocity after an impact per axis [m/s], 1 where only corners of that box occur,
+# and the generator from which the next one is drawn.
+MASS, INERTIA, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y, START_X, START_Y, TURN = range(9)
+DEVIATION, CORNERS, DICE, BODY_COLUMNS = range(9, 13)
+DICE_MODULUS = 2147483647.0  # a state of that generator is a whole number from 1 to before this
 # Columns of Physics.thruster, each positive and negative per channel Fx, Fy, torque: true over commanded force at the
 # start; share of it that is lost per second [1/s].
 GAIN, FADE, THRUSTER_COLUMNS = 0, 6, 12
@@ -211,6 +214,9 @@ class Truth(Table):
     # How often all readings of bodies are lost on their way, for `dropout_seconds`: the last ones that arrived are
     # repeated. Felt impacts are the robots' own and arrive [1/s].
     dropout_rate: Annotated[Size, Drawn()] = 0.0
+    # Each impact of a robot adds up to so much per axis to the object's velocity, drawn anew, and takes the momentum
+    # from the robot's; in half of the worlds anything up to it, in the others it or its opposite [m/s].
+    impact_deviation: Annotated[Size, Drawn("object", (SHARE, SHARE), spare=True)] = 0.0
 
     dropout_seconds: Positive = 1.0  # [s]
     thruster_on_off: bool = False  # thrusters are off or full at the control rate
@@ -219,8 +225,9 @@ class Truth(Table):
 
     @property
     def moves_bodies(self) -> bool:
-        """Return whether in any world a centre of mass is offset, or anything accelerates or is moved by itself."""
-        return any(getattr(self, name) != 0.0 for name in ("center_of_mass_offset", "drift", "start_spread"))
+        """Return whether in any world a centre of mass is offset, or anything is moved but by what the law says."""
+        moved = ("center_of_mass_offset", "drift", "start_spread", "impact_deviation")
+        return any(getattr(self, name) != 0.0 for name in moved)
 
     @property
     def changes_thrusters(self) -> bool:
@@ -237,7 +244,7 @@ class Physics(NamedTuple):
 
     Attributes:
         contact: shape (3,).
-        body: shape (n, 9); what is not mass or inertia is zero for robots.
+        body: shape (n, 12); what is not mass or inertia is zero for robots.
         thruster: shape (robots, 12).
         sensor: shape (2,).
         true: what is not drawn.
@@ -354,6 +361,11 @@ class FreeFlyerScenario(Scenario):
             spread = drawn["start_spread"].reshape(worlds, n - robots, 3)
             halves = np.array([item.start_uncertainty for item in self.objects.values()]).reshape(-1, 2)
             body[:, robots:, START_X : START_Y + 1] = spread[:, :, :1] * spread[:, :, 1:] * halves
+        if self.true.impact_deviation != 0.0:
+            deviation = drawn["impact_deviation"].reshape(worlds, n - robots, 3)
+            body[:, robots:, DEVIATION] = deviation[:, :, 0]
+            body[:, robots:, CORNERS] = deviation[:, :, 1] < 0.5
+            body[:, robots:, DICE] = np.floor(1.0 + deviation[:, :, 2] * (DICE_MODULUS - 2.0))
         body[:, robots:, TURN] = drawn["drift_turn"]
         sensor = np.empty((worlds, SENSOR_COLUMNS))
         sensor[:, DELAY] = np.minimum(np.floor(drawn["delay_steps"][:, 0]), largest(self.true.delay_steps))
@@ -369,8 +381,8 @@ class FreeFlyerScenario(Scenario):
         robot, channel, sign = (which * (robots, 2, 2)).astype(int).T
         gains[np.arange(worlds), robot, channel, sign] *= weakest[:, 0]
         if self.true.thruster_fade != 0.0:
-            lost, *which = np.moveaxis(drawn["thruster_fade"].reshape(worlds, robots, 3), 2, 0)
-            channel, sign = (2 * np.array(which)).astype(int)
+            lost, *places = np.moveaxis(drawn["thruster_fade"].reshape(worlds, robots, 3), 2, 0)
+            channel, sign = (2 * np.array(places)).astype(int)
             fades[np.arange(worlds)[:, None], np.arange(robots), channel, sign] = lost / self.horizon
         return np.concatenate([part.reshape(worlds, robots, -1) for part in (gains, fades)], axis=2)
 

@@ -83,7 +83,7 @@ class Worlds(NamedTuple):
     Attributes:
         state: x, y, vx, vy of the centres of mass, heading, omega, felt impact, shape (N, n, 7) [m], [m/s], [rad],
             [rad/s].
-        body: as ``Physics.body``, shape (N, n, 9); mass and inertia only where that is all, 14 columns where objects
+        body: as ``Physics.body``, shape (N, n, 12); mass and inertia only where that is all, 17 columns where objects
             keep their velocity.
         thruster: as ``Physics.thruster`` and two more, shape (N, robots, 14), or no robots where all thrusters do as
             they are told.

@@ -23,7 +23,16 @@ from planners.free_flyer.belief.options import Options, get_options, make_record
 from planners.free_flyer.belief.plan_table import NO_IMPACT, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
-from planners.free_flyer.closed_loop.world_loop import ADOPT, APPLY, CONTROL, DECIDE, OBSERVE, PREPARE, START, run_experts
+from planners.free_flyer.closed_loop.world_loop import (
+    ADOPT,
+    APPLY,
+    CONTROL,
+    DECIDE,
+    OBSERVE,
+    PREPARE,
+    START,
+    run_experts,
+)
 from planners.free_flyer.next_impact.desired_velocity import choose_desired_velocity, find_next_knot
 from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
@@ -34,7 +43,7 @@ from planners.plan import Plan
 
 ONE_HOT = 6
 # Counters of normal operation, not counted as fallbacks.
-ROUTINE = ("replans", "retimed", "reoptimised", "planned_anew", "avoided", "detours")
+ROUTINE = ("replans", "retimed", "reoptimised", "planned_anew", "avoided", "detours", "responded")
 
 
 class PairEstimate(NamedTuple):
@@ -117,7 +126,7 @@ class FreeFlyerExpert:
         name, self._tracker = find_tracker(chosen.tracker if tracker is None else tracker)
         self.options = replace(chosen, tracker=name)
         self._scenario = scenario.as_believed()
-        self.table = make_plan_table(self._scenario, plan, weights=chosen.weights)
+        self.table = make_plan_table(self._scenario, plan, weights=chosen.weights, respond=chosen.respond)
         robots = len(scenario.robots)
         self.memory = make_world_memory(self.table, 1)
         self.workspace = make_workspace(1 if self._tracker is None else robots)

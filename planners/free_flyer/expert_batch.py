@@ -64,7 +64,8 @@ class FreeFlyerExpertBatch:
         self.size = make_joint_layout(scenario).size
         self._clock = find_shared_place(len(scenario.bodies), self.robots) + TIME
         believed, chosen = scenario.as_believed(), get_options(variant) if options is None else options
-        self._table, self._own = make_plan_table(believed, plan, weights=chosen.weights), dict[int, PlanTable]()
+        self._table = make_plan_table(believed, plan, weights=chosen.weights, respond=chosen.respond)
+        self._own = dict[int, PlanTable]()
         self.memory = make_world_memory(self._table, count)
         self._threads = min(threads, count)
         chosen = replace(chosen, tracker=check_compiled(chosen.tracker if tracker is None else tracker))

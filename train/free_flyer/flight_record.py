@@ -88,9 +88,10 @@ class FlightRecord:
         counts = np.array(memory.counts[0].tolist())
         grown, self._counts = counts - self._counts, counts
         self.events += [(now, name) for name, n in zip(COUNTERS, grown, strict=True) for _ in range(n)]
+        curves = memory.flown[0] if len(table.response) else table.coefficients
         for r, name in enumerate(robots):
             course = memory.course[0, r]
-            motion = evaluate_course(course, table.breaks, table.coefficients, r, now)
+            motion = evaluate_course(course, table.breaks, curves, r, now)
             self._courses.setdefault(name, []).append((now, *motion[:4]))
             if course["since"] == now < course["until"]:
                 self.replans.append((now, name))

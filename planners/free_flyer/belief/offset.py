@@ -71,9 +71,7 @@ def swing_centre(z: np.record, before: float, after: float) -> None:
 
 
 @compiled
-def correct_centre_velocity(
-    z: np.record, vx: float, vy: float, variance: float, angle: float, rate: float
-) -> None:
+def correct_centre_velocity(z: np.record, vx: float, vy: float, variance: float, angle: float, rate: float) -> None:
     """Update a filter in place by a measured velocity of the geometric centre of a body that turns.
 
     Args:

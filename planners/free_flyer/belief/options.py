@@ -135,6 +135,15 @@ class Published:
 
 
 @dataclass(frozen=True)
+class Response:
+    """A plan's responses to where objects are at their impacts."""
+
+    edge: float = 5e-3  # so far outside its box an object is still answered: room for errors of tracking [m]
+    least: float = 1e-3  # change of where the object will be that changes a robot's curve; less is met at contact [m]
+    rejoin: Positive = 4.0  # in which a course goes over to a changed curve, at least [s]
+
+
+@dataclass(frozen=True)
 class Replanning:
     """The course of a robot to an impact."""
 
@@ -251,6 +260,7 @@ class Options:
         reoptimise: choose times and places of the impacts that are left anew after each one.
         walls: keep off walls and solid obstacles as off bodies, hit objects before they are at one, and go round them.
         plan_anew: plan the rest in the background, with who hits what open, where that fails.
+        respond: fly the responses of a plan that has any, while objects are in the boxes it promises.
         tracker: what follows the courses, a name of `tracking.trackers.TRACKERS`.
         weights: of the tracking cost; in the paper those of App. B.
     """
@@ -266,6 +276,7 @@ class Options:
     reoptimise: bool = True
     walls: bool = True
     plan_anew: bool = True
+    respond: bool = True
     tracker: str = "mpc"
     weights: Weights = Weights()  # noqa: RUF009 - frozen
     estimation: Estimation = Estimation()
@@ -274,6 +285,7 @@ class Options:
     aim: Aim = Aim()
     reach: Reach = Reach()
     published: Published = Published()
+    response: Response = Response()
     replanning: Replanning = Replanning()
     retiming: Retiming = Retiming()
     insertion: Insertion = Insertion()
@@ -295,6 +307,7 @@ _PAPER = Options(
     reoptimise=False,
     walls=False,
     plan_anew=False,
+    respond=False,
     weights=PUBLISHED_WEIGHTS,
 )
 # What the paper has is replaced, or what it lacks is added, one part a rung: each has all parts of the rung before.
@@ -310,6 +323,7 @@ _LADDER: tuple[tuple[str, dict[str, Any]], ...] = (
     ("with_reoptimisation", {"reoptimise": True}),
     ("with_offset", {"offset": True}),
     ("with_walls", {"walls": True}),
+    ("with_responses", {"respond": True}),
 )
 
 

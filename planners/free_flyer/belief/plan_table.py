@@ -13,7 +13,7 @@ from planners.free_flyer.specification.central_hit import find_central_hits
 from planners.free_flyer.specification.impact_demand import Knot, find_knots, find_own_faces
 from planners.free_flyer.tracking.course import convert_curve
 from planners.free_flyer.tracking.problem import Weights, build_tracking_problem
-from planners.plan import Plan, Tube
+from planners.plan import Plan, PlannedResponse, Tube
 
 NO_IMPACT = -1
 ROUND_OFF = 1e-6  # of times [s]
@@ -71,6 +71,18 @@ SIDE = np.dtype(
         ("distance", float),  # from the centre, 0: no side [m]
     ]
 )
+# What the place of the object at an impact decides.
+RESPONSE = np.dtype(
+    [
+        ("leave", float),  # when its robot leaves its responses to meet the object exactly [s]
+        ("centre", float, 2),  # of the box in which the object will be [m]
+        ("half", float, 2),  # widths of the box [m]
+        ("velocity", float, 2),  # wanted after the impact at the centre [m/s]
+        ("gain", float, 2),  # change of it over that of the place [1/s]
+    ]
+)
+# With the place d in [-1, 1] per axis a robot's curve is that of the plan + d_x A + d_y B + d_x d_y C.
+TERMS = 3
 
 
 class PlanTable(NamedTuple):
@@ -95,6 +107,10 @@ class PlanTable(NamedTuple):
         pilot: of each robot's tracking problem, shape (r, 52).
         last: of each object, how long the plan lets it fly after its last impact if the plan says how much it may be
             off then, 0 otherwise, shape (objects,) [s].
+        response: RESPONSE of each impact, shape (K,); of a plan without responses, or where nobody follows them, (0,).
+        answer: number of the impact whose place decides where each robot goes on a segment of its curve, or NO_IMPACT,
+            shape (r, S).
+        term: A, B and C of the segments in power basis, shape (r, S, 3, d + 1, 2) [m]; without responses (r, S, 0, ...).
     """
 
     period: float
@@ -114,6 +130,9 @@ class PlanTable(NamedTuple):
     side: np.ndarray
     pilot: np.ndarray
     last: np.ndarray
+    response: np.ndarray
+    answer: np.ndarray
+    term: np.ndarray
 
 
 def make_plan_table(
@@ -121,6 +140,7 @@ def make_plan_table(
     plan: Plan,
     begin: float = 0.0,
     weights: Weights = Weights(),  # noqa: B008 - frozen
+    respond: bool = True,
 ) -> PlanTable:
     """Make the tables of a plan.
 
@@ -129,11 +149,14 @@ def make_plan_table(
         plan: to execute.
         begin: when the scenario and the plan begin [s].
         weights: of the tracking cost.
+        respond: take its responses where it has any.
     """
     impact, first, knots = _make_impacts(scenario, plan, begin)
     knot, face = _make_knots(knots, begin)
     _write_boxes(scenario, plan, impact, knot, begin)
     breaks, coefficients = _make_curves(scenario, plan)
+    responses = plan.planned_responses if respond else ()
+    answer, term = _make_terms(scenario, plan, responses, coefficients)
     return PlanTable(
         float(scenario.control_period),
         begin + float(plan.horizon),
@@ -154,6 +177,9 @@ def make_plan_table(
             [build_tracking_problem(robot, scenario.control_period, weights).row for robot in scenario.robots.values()]
         ),
         np.array([_find_last_flight(plan, name) for name in scenario.objects]),
+        _make_responses(plan, responses, knot, begin),
+        answer,
+        term,
     )
 
 
@@ -258,6 +284,36 @@ def _make_curves(scenario: FreeFlyerScenario, plan: Plan) -> tuple[np.ndarray, n
         breaks[i, : len(curve.times)] = curve.times
         coefficients[i, : len(curve.times) - 1, : curve.coefficients.shape[1]] = curve.coefficients
     return breaks, coefficients
+
+
+def _make_responses(plan: Plan, responses: Sequence[PlannedResponse], knot: np.ndarray, begin: float) -> np.ndarray:
+    table = np.zeros(len(responses), RESPONSE)
+    for row, response, planned, box in zip(table, responses, plan.impacts, knot, strict=False):
+        row["leave"] = response.leave + begin
+        row["centre"], row["half"] = (box["lower"] + box["upper"]) / 2, (box["upper"] - box["lower"]) / 2
+        row["velocity"], row["gain"] = planned.object_plus, response.gain
+    return table
+
+
+def _make_terms(
+    scenario: FreeFlyerScenario, plan: Plan, responses: Sequence[PlannedResponse], coefficients: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return `PlanTable.answer` and `PlanTable.term`: sum_v prod_i (1 + v_i d_i) / 2 curve_v, sorted by powers of d."""
+    robots, segments, degree, _ = coefficients.shape
+    answer = np.full((robots, segments), NO_IMPACT)
+    term = np.zeros((robots, segments, TERMS if responses else 0, degree, 2))
+    names = list(scenario.robots)
+    for k, (response, planned) in enumerate(zip(responses, plan.impacts, strict=False)):
+        curves = plan.responses[planned.robot]
+        r, times = names.index(planned.robot), curves[0].times
+        inside = np.flatnonzero((times[:-1] > response.start - ROUND_OFF) & (times[1:] < response.end + ROUND_OFF))
+        low_low, low_high, high_low, high_high = (convert_curve(curve).coefficients[inside] for curve in curves)
+        size = low_low.shape[1]
+        answer[r, inside] = k
+        term[r, inside, 0, :size] = (high_low + high_high - low_low - low_high) / 4
+        term[r, inside, 1, :size] = (low_high + high_high - low_low - high_low) / 4
+        term[r, inside, 2, :size] = (low_low + high_high - low_high - high_low) / 4
+    return answer, term
 
 
 def _make_own_faces(scenario: FreeFlyerScenario) -> np.ndarray:

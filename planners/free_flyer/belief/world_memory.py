@@ -84,6 +84,7 @@ STRIKE = np.dtype(
         ("reference_normal", float, 2),  # direction of the impulse as planned, a unit vector
         # The solution of its two-body problem.
         ("is_solved", bool),
+        ("is_answered", bool),  # by the plan's response, with the believed physics, see `response.is_answered`
         ("outcome", int),  # a two_body.Outcome
         ("change", float),  # of the object's velocity, its size [m/s]
         ("lever", float),  # of the hit, see `offset.compute_lever`
@@ -164,6 +165,7 @@ COUNTERS = (
     "taken_up",
     "no_action",
     "detours",
+    "responded",
 )
 COUNTS = np.dtype([(name, np.int64) for name in COUNTERS])
 # Assigning one of these clears a record.
@@ -201,6 +203,10 @@ class WorldMemory(NamedTuple):
         place: wanted positions of the knots, shape (N, K + 6 + m, 2) [m].
         shifted: SHIFTED of every robot, shape (N, r).
         past: estimated positions every half second, shape (N, H, n, 2) [m].
+        flown: coefficients of the robots' curves as `PlanTable.coefficients`, with their responses to where the objects
+            are at impacts, shape (N, r, S, d + 1, 2) [m]; without responses (0, ...), and the plan's are flown.
+        answered: to which place each response is: from its box's centre over the half widths, shape (N, K, 2).
+        responded: when each robot's response was looked at last, shape (N, r) [s].
         wanted: when a new plan was first found to be needed, inf if it is not, shape (N,) [s].
         counts: how often what happened, a COUNTS, shape (N,).
     """
@@ -226,6 +232,9 @@ class WorldMemory(NamedTuple):
     place: np.ndarray
     shifted: np.ndarray
     past: np.ndarray
+    flown: np.ndarray
+    answered: np.ndarray
+    responded: np.ndarray
     wanted: np.ndarray
     counts: np.ndarray
 
@@ -262,6 +271,9 @@ def make_world_memory(plan: PlanTable, count: int) -> WorldMemory:
         place=np.zeros((count, planned + objects, 2)),
         shifted=np.zeros((count, r), SHIFTED),
         past=np.zeros((count, math.ceil(plan.horizon / PAST_PERIOD) + 1, n, 2)),
+        flown=np.zeros((count if len(plan.response) else 0, *plan.coefficients.shape)),
+        answered=np.zeros((count, len(plan.response), 2)),
+        responded=np.zeros((count, r)),
         wanted=np.full(count, math.inf),
         counts=np.zeros(count, COUNTS),
     )

@@ -171,9 +171,10 @@ class Background:
     def _make_rest(self, table: PlanTable, memory: WorldMemory, k: int, now: float, begin: float) -> FreeFlyerScenario:
         """Make the scenario that is left at `begin`: objects fly on, robots follow their courses."""
         positions, velocities = {}, {}
+        curves = memory.flown[k] if len(table.response) else table.coefficients
         for i, name in enumerate(self._scenario.bodies):
             if i < table.robots:
-                motion = evaluate_course(memory.course[k, i], table.breaks, table.coefficients, i, begin)[:4]
+                motion = evaluate_course(memory.course[k, i], table.breaks, curves, i, begin)[:4]
             else:
                 motion = extrapolate_flight(memory, k, i, begin)
             positions[name], velocities[name] = np.array(motion[:2]), np.array(motion[2:])

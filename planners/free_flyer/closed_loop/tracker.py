@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
-from planners.free_flyer.belief.impact_parameters import compute_pair_gain, get_pair
 from planners.free_flyer.belief.options import BY_LQR, BY_MPC, Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
 from planners.free_flyer.closed_loop.avoidance import NO_TARGET, avoid_bodies, hold_barrier
+from planners.free_flyer.next_impact.replanner import find_law
 from planners.free_flyer.tracking.course import evaluate_course
 from planners.free_flyer.tracking.lqr import solve_lqr
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT, NO_JUMP, STAGES, Workspace, solve_tracking
@@ -116,8 +116,9 @@ def feed_back(
 ) -> None:
     """Write robot r's input by LQR on its course."""
     now, h, reference = memory.time[k], plan.period, workspace.states[c, 0]
-    here = evaluate_course(memory.course[k, r], plan.breaks, plan.coefficients, r, now)
-    ahead = evaluate_course(memory.course[k, r], plan.breaks, plan.coefficients, r, now + h)
+    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
+    here = evaluate_course(memory.course[k, r], plan.breaks, curves, r, now)
+    ahead = evaluate_course(memory.course[k, r], plan.breaks, curves, r, now + h)
     reference[0], reference[1], reference[2] = here[0], here[1], plan.body[r].heading
     reference[3], reference[4], reference[5] = here[2], here[3], 0.0
     ax = (ahead[2] - here[2]) / h
@@ -146,11 +147,13 @@ def fill_reference(plan: PlanTable, memory: WorldMemory, workspace: Workspace, c
         durations[node - 1] = ahead - (node - 1) * h
         durations[node] = (node + 1) * h - ahead
         # The robot's own jump: v+ = v- - c (n . v- - n . v_O) n with c = alpha m_O / m_R.
-        gain = compute_pair_gain(memory, k, r, o, strike.lever) * get_pair(memory, k, r, o)[1]
+        restitution, ratio = find_law(plan, memory, k, r, o)
+        gain = (1.0 + restitution) / (1.0 + ratio + strike.lever) * ratio
         jump[0], jump[1], jump[2] = strike.normal[0], strike.normal[1], gain
         jump[3] = strike.normal[0] * strike.object_minus[0] + strike.normal[1] * strike.object_minus[1]
     workspace.node[c] = node
     cos, sin, t = math.cos(heading), math.sin(heading), now
+    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
     for j in range(STAGES + 1):
         bounced = node != NO_JUMP and j > node
         if bounced:
@@ -160,7 +163,7 @@ def fill_reference(plan: PlanTable, memory: WorldMemory, workspace: Workspace, c
             states[j, 1] = states[j - 1, 1] + durations[j - 1] * plus_y
             states[j, 3], states[j, 4] = plus_x, plus_y
         else:
-            motion = evaluate_course(memory.course[k, r], plan.breaks, plan.coefficients, r, t)
+            motion = evaluate_course(memory.course[k, r], plan.breaks, curves, r, t)
             states[j, 0], states[j, 1], states[j, 3], states[j, 4] = motion[0], motion[1], motion[2], motion[3]
         states[j, 2], states[j, 5] = plan.body[r].heading, 0.0
         if j > 0:

@@ -33,10 +33,11 @@ from planners.free_flyer.next_impact.bookkeeping import (
     take_contact,
     take_misses,
 )
-from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, is_promised
+from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, is_answered, is_promised
 from planners.free_flyer.next_impact.insertion import insert_impact
 from planners.free_flyer.next_impact.reoptimisation import reoptimise_rest
 from planners.free_flyer.next_impact.replanner import replan_course
+from planners.free_flyer.next_impact.response import forget_responses, respond
 from planners.free_flyer.next_impact.rest_qp import RestQP
 from planners.free_flyer.next_impact.retiming import retime_impact
 from planners.free_flyer.tracking.mpc import Workspace
@@ -51,6 +52,7 @@ def start_world(plan: PlanTable, memory: WorldMemory, options: Options, k: int) 
     memory.time[k] = 0.0
     open_filters(plan, memory, options, k)
     forget_hits(plan, memory, options, k)
+    forget_responses(plan, memory, k)
     start_strikes(plan, memory, options, k, 0.0)
     memory.wanted[k] = math.inf
     memory.counts[k] = BLANK_COUNTS
@@ -156,24 +158,28 @@ def decide_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int
 def replan_robot(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int) -> int:
     """Replan robot r's course where it is time to; return the object it is to hit, or NO_OBJECT."""
     now = memory.time[k]
+    respond(plan, memory, options, k, r, now)
     o = find_strike(memory, k, r)
     if o != NO_OBJECT:
         strike = memory.strike[k, o]
         event, _, _ = find_next_event(plan, memory, k, r)
         if not strike.is_inserted and strike.time > event + ROUND_OFF:
             o = NO_OBJECT
-        elif should_replan(memory, options, k, r, o, now):
+        elif should_replan(plan, memory, options, k, r, o, now):
             replan_course(plan, memory, options, k, r, o, now)
     return o
 
 
 @compiled
-def should_replan(memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> bool:
+def should_replan(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> bool:
     """Return whether the course of robot r to its impact on object o has to be replanned now."""
     strike = memory.strike[k, o]
     time = strike.time
     settled = now >= strike.last_contact + options.timing.settle - ROUND_OFF
-    near = time - options.timing.replan_window <= now + ROUND_OFF or memory.course[k, r].ends_in_impact
+    begin = time - options.timing.replan_window
+    if strike.index != NO_IMPACT and is_answered(plan, memory, options, k, o):
+        begin = plan.response[strike.index].leave
+    near = begin <= now + ROUND_OFF or memory.course[k, r].ends_in_impact
     due = (
         strike.replanned_at == -math.inf
         if options.once
@@ -192,7 +198,8 @@ def look_ahead(plan: PlanTable, memory: WorldMemory, options: Options, qp: RestQ
             continue
         strike.looked_at = now
         # Times and places of the plan stay while it promises success with them.
-        kept = strike.index != NO_IMPACT and is_promised(plan, memory, k, o)
+        answered = is_answered(plan, memory, options, k, o)
+        kept = answered or (strike.index != NO_IMPACT and is_promised(plan, memory, k, o))
         if not kept and options.reoptimise and strike.last_contact > strike.optimised_at and strike.index != NO_IMPACT:
             strike.optimised_at = now
             if reoptimise_rest(plan, memory, options, qp, c, k, o, now):
@@ -212,7 +219,7 @@ def look_ahead(plan: PlanTable, memory: WorldMemory, options: Options, qp: RestQ
             and now <= strike.time - options.retiming.frozen
         ):
             retime_impact(plan, memory, options, k, o, now)
-        if options.insert and strike.last_contact > 0.0:
+        if options.insert and strike.last_contact > 0.0 and not answered:
             insert_impact(plan, memory, options, k, o, now)
 
 

@@ -49,8 +49,9 @@ def start_strikes(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         while at != NO_IMPACT:
             impact, knot = plan.impact[at], plan.knot[at]
             memory.clock[k, at] = impact.time
-            if before != NO_IMPACT and knot.closes < math.inf:
+            if before != NO_IMPACT and knot.closes < math.inf and len(plan.response) == 0:
                 # Objects usually arrive late: start the flight into a window early enough for a weak throw to arrive.
+                # A plan with responses has reckoned with that.
                 start, last = memory.clock[k, before], plan.knot[before].position
                 way = math.hypot(knot.position[0] - last[0], knot.position[1] - last[1])
                 sooner = start + max(options.timing.haste * (knot.closes - start), way / options.timing.fast)
@@ -116,10 +117,11 @@ def return_robot(
     time, planned, _ = find_next_event(plan, memory, k, r)
     z = memory.filter[k, r]
     begin = (z.position[0], z.position[1], z.velocity[0], z.velocity[1])
+    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
     return_to_plan(
         memory.course[k, r],
         plan.breaks,
-        plan.coefficients,
+        curves,
         r,
         now,
         begin,
@@ -222,7 +224,9 @@ def learn_from_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: i
             hit.seen += 1 if hit.ratio == 0.0 else 0
             hit.ratio = math.hypot(x, y) / hit.commanded
         if options.learn and now >= hit.learned_at + options.timing.learn_period - ROUND_OFF:
-            hit.contact.lever = compute_lever(z, body.gyration, hit.contact.angle, hit.contact.normal[0], hit.contact.normal[1])
+            hit.contact.lever = compute_lever(
+                z, body.gyration, hit.contact.angle, hit.contact.normal[0], hit.contact.normal[1]
+            )
             hit.gained = x * hit.contact.normal[0] + y * hit.contact.normal[1]
             variance = max(z.P_vv - 2.0 * since * z.P_va.real + since * since * z.P_aa, 0.0)
             variance += (

@@ -35,6 +35,22 @@ def is_promised(plan: PlanTable, memory: WorldMemory, k: int, o: int) -> bool:
 
 
 @compiled
+def is_answered(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int) -> bool:
+    """Return whether the plan has a response to where object o will be at its coming impact, or at its end."""
+    strike = memory.strike[k, o]
+    index = strike.index
+    if len(plan.response) == 0 or strike.is_inserted:
+        return False
+    knot = len(plan.impact) + o if index == NO_IMPACT else index
+    time = plan.horizon if index == NO_IMPACT else plan.impact[index].time
+    if index != NO_IMPACT and abs(memory.clock[k, index] - time) > ROUND_OFF:
+        return False
+    x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, time)
+    lower, upper, edge = plan.knot[knot].lower, plan.knot[knot].upper, options.response.edge
+    return lower[0] - edge <= x <= upper[0] + edge and lower[1] - edge <= y <= upper[1] + edge
+
+
+@compiled
 def find_next_knot(plan: PlanTable, memory: WorldMemory, k: int, o: int, inserted: bool) -> tuple[int, float, bool]:
     """Return the knot after the coming impact of object o, when it is expected, and whether it is the end.
 
@@ -87,6 +103,12 @@ def choose_desired_velocity(
     target_x, target_y = memory.place[k, knot, 0], memory.place[k, knot, 1]
     duration = max(due - time, options.aim.shortest_leg if last else 2.0)
     limit = plan.body[body].speed_limit
+    if strike.index != NO_IMPACT and is_answered(plan, memory, options, k, o):
+        response = plan.response[strike.index]
+        vx = response.velocity[0] + response.gain[0] * (x - response.centre[0])
+        vy = response.velocity[1] + response.gain[1] * (y - response.centre[1])
+        target_x, target_y = x + vx * duration, y + vy * duration
+        return compute_desired_velocity(x, y, target_x, target_y, duration, z.drift[0], z.drift[1], limit)
     if not last or not options.insert or plan.knot[knot].faces == 0:
         return compute_desired_velocity(x, y, target_x, target_y, duration, z.drift[0], z.drift[1], limit)
     # The depth that is enough grows with the time that is left, up to the plan's; a plan that says what happens if the

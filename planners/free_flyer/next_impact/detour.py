@@ -34,14 +34,15 @@ def go_round(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: 
         latest: until when a course back to the plan may last [s].
     """
     course, surroundings = memory.course[k, r], options.surroundings
+    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
     T = course.until - now
     if T < SHORTEST:
         return
-    here = evaluate_course(course, plan.breaks, plan.coefficients, r, now)
-    there = evaluate_course(course, plan.breaks, plan.coefficients, r, course.until)
+    here = evaluate_course(course, plan.breaks, curves, r, now)
+    there = evaluate_course(course, plan.breaks, curves, r, course.until)
     least = min(measure_gap(plan, r, here[0], here[1]), measure_gap(plan, r, there[0], there[1]))
     least = min(least, surroundings.near)
-    if is_clear(plan, options, course, r, now, least):
+    if is_clear(plan, curves, options, course, r, now, least):
         return
     begin, end = evaluate_quintic(course, now), evaluate_quintic(course, course.until)
     most = options.reach.ease * plan.pilot[r, GAIN] * plan.pilot[r, INPUT_LIMIT]
@@ -52,12 +53,12 @@ def go_round(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: 
         if stretch > 0 and until > latest:
             break
         fit_course(course, begin, end, now, until)
-        there = evaluate_course(course, plan.breaks, plan.coefficients, r, until)
-        cost, nearest = weigh_course(plan, options, course, r, now, least, most)
+        there = evaluate_course(course, plan.breaks, curves, r, until)
+        cost, nearest = weigh_course(plan, curves, options, course, r, now, least, most)
         if cost < best:
             best, chosen, time = cost, until, now
         if stretch == 0:
-            motion = evaluate_course(course, plan.breaks, plan.coefficients, r, nearest)
+            motion = evaluate_course(course, plan.breaks, curves, r, nearest)
             worst, worst_x, worst_y = nearest, motion[0], motion[1]
         for i in range(3 + len(surroundings.waits) + plan.solid.shape[0] * plan.solid.shape[1]):
             if i == 0:
@@ -67,13 +68,13 @@ def go_round(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: 
             x, y = move_clear(plan, r, x, y, surroundings.margin)
             at = min(max(at, now + ENDS * (until - now)), until - ENDS * (until - now))
             course.until = until
-            fit_via(plan, course, r, begin, end, now, at, x, y)
-            cost, _ = weigh_course(plan, options, course, r, now, least, most)
+            fit_via(plan, curves, course, r, begin, end, now, at, x, y)
+            cost, _ = weigh_course(plan, curves, options, course, r, now, least, most)
             if cost < best:
                 best, chosen, via_x, via_y, time = cost, until, x, y, at
     if time > now:
         course.until = chosen
-        fit_via(plan, course, r, begin, end, now, time, via_x, via_y)
+        fit_via(plan, curves, course, r, begin, end, now, time, via_x, via_y)
         memory.counts[k].detours += 1
     else:
         fit_course(course, begin, end, now, chosen)
@@ -88,12 +89,21 @@ def fit_course(course: np.record, begin: Motion, end: Motion, now: float, until:
 
 @compiled
 def fit_via(
-    plan: PlanTable, course: np.record, r: int, begin: Motion, end: Motion, now: float, time: float, x: float, y: float
+    plan: PlanTable,
+    curves: np.ndarray,
+    course: np.record,
+    r: int,
+    begin: Motion,
+    end: Motion,
+    now: float,
+    time: float,
+    x: float,
+    y: float,
 ) -> None:
     """Write two quintics through a place into a COURSE."""
     for j in range(6):
         course.quintic[j, 0] = course.quintic[j, 1] = course.first[j, 0] = course.first[j, 1] = 0.0
-    base = evaluate_course(course, plan.breaks, plan.coefficients, r, time)
+    base = evaluate_course(course, plan.breaks, curves, r, time)
     fit_detour(course, begin, end, (x - base[0], y - base[1]), now, time)
 
 
@@ -159,11 +169,13 @@ def move_clear(plan: PlanTable, r: int, x: float, y: float, margin: float) -> tu
 
 
 @compiled
-def is_clear(plan: PlanTable, options: Options, course: np.record, r: int, now: float, least: float) -> bool:
+def is_clear(
+    plan: PlanTable, curves: np.ndarray, options: Options, course: np.record, r: int, now: float, least: float
+) -> bool:
     """Return whether robot r's course keeps a gap to walls and obstacles; where there is room, look less often."""
     step, t = (course.until - now) / options.surroundings.samples, now
     while t < course.until:
-        motion = evaluate_course(course, plan.breaks, plan.coefficients, r, t)
+        motion = evaluate_course(course, plan.breaks, curves, r, t)
         gap = measure_gap(plan, r, motion[0], motion[1])
         if gap < least - 1e-9:
             return False
@@ -173,13 +185,21 @@ def is_clear(plan: PlanTable, options: Options, course: np.record, r: int, now: 
 
 @compiled
 def weigh_course(
-    plan: PlanTable, options: Options, course: np.record, r: int, now: float, least: float, most: float
+    plan: PlanTable,
+    curves: np.ndarray,
+    options: Options,
+    course: np.record,
+    r: int,
+    now: float,
+    least: float,
+    most: float,
 ) -> tuple[float, float]:
     """Return the cost of robot r's course, and when it is nearest to a wall or solid obstacle.
 
     intrusion (share of the time with less than the least gap + max(0, a / a_most - 1)) + a / a_most
 
     Args:
+        curves: of the robots' plans, as flown.
         least: gap that is asked for [m].
         most: acceleration that is asked for [m/s^2].
     """
@@ -187,7 +207,7 @@ def weigh_course(
     inside, peak, nearest, worst = 0, 0.0, math.inf, now
     for i in range(1, count):
         t = now + i * (course.until - now) / count
-        motion = evaluate_course(course, plan.breaks, plan.coefficients, r, t)
+        motion = evaluate_course(course, plan.breaks, curves, r, t)
         gap = measure_gap(plan, r, motion[0], motion[1])
         if gap < least - 1e-9:
             inside += 1

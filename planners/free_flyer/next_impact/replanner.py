@@ -13,7 +13,12 @@ from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.surroundings import measure_gap
 from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time
-from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, choose_desired_velocity, hasten_next_knot
+from planners.free_flyer.next_impact.desired_velocity import (
+    ROUND_OFF,
+    choose_desired_velocity,
+    hasten_next_knot,
+    is_answered,
+)
 from planners.free_flyer.next_impact.detour import go_round
 from planners.free_flyer.next_impact.reachability import is_reachable
 from planners.free_flyer.next_impact.two_body import solve_soft_two_body_impact, solve_two_body_impact
@@ -32,7 +37,8 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     strike, body = memory.strike[k, o], plan.robots + o
     time = strike.time
     x, y, vx, vy = extrapolate_flight(memory, k, body, time)
-    if options.drift:
+    strike.is_answered = strike.index != NO_IMPACT and is_answered(plan, memory, options, k, o)
+    if options.drift and not strike.is_answered:
         hasten_next_knot(plan, memory, options, k, o)
     wish = choose_desired_velocity(plan, memory, options, k, o)
     scale, angle = math.exp(options.aim.scale_range * strike.scale), options.aim.rotation_range * strike.turn
@@ -52,7 +58,7 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
         strike.lever = compute_lever(z, gyration, ahead, nx, ny)
     desired = (vx + dx, vy + dy)
     normal = (strike.reference_normal[0], strike.reference_normal[1])
-    restitution, ratio = get_pair(memory, k, r, o)
+    restitution, ratio = find_law(plan, memory, k, r, o)
     mass, reach, limit = plan.body[r].mass, plan.body[r].radius + distance, plan.body[r].speed_limit
     if options.exact:
         solution = solve_two_body_impact(
@@ -71,7 +77,8 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     else:
         robot_wish = (vx, vy)
         if strike.index != NO_IMPACT and not strike.is_inserted:
-            planned = evaluate_curve(plan.breaks, plan.coefficients, r, plan.impact[strike.index].time, True)
+            curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
+            planned = evaluate_curve(plan.breaks, curves, r, plan.impact[strike.index].time, True)
             robot_wish = (planned[2], planned[3])
         solution = solve_soft_two_body_impact(
             (x, y),
@@ -98,13 +105,25 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
 
 
 @compiled
+def find_law(plan: PlanTable, memory: WorldMemory, k: int, r: int, o: int) -> tuple[float, float]:
+    """Return restitution and mass ratio that robot r's impact on object o is planned with.
+
+    What the plan answers it has planned with the believed ones: what its impacts deviate tells nothing of the next.
+    """
+    if memory.strike[k, o].is_answered:
+        return plan.restitution, plan.body[plan.robots + o].mass / plan.body[r].mass
+    return get_pair(memory, k, r, o)
+
+
+@compiled
 def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> None:
     """Plan the course of robot r to its impact on object o; a robot that lost its course may postpone the impact."""
     strike = memory.strike[k, o]
     solve_strike(plan, memory, options, k, r, o, now)
     if options.walls and options.retime and not is_place_clear(plan, memory, k, r, o, strike.time):
         advance_impact(plan, memory, options, k, r, o, now)
-    begin = evaluate_course(memory.course[k, r], plan.breaks, plan.coefficients, r, now)
+    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
+    begin = evaluate_course(memory.course[k, r], plan.breaks, curves, r, now)
     z = memory.filter[k, r]
     if math.hypot(begin[0] - z.position[0], begin[1] - z.position[1]) > options.replanning.off_course:
         memory.counts[k].lost += 1
@@ -119,7 +138,7 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     if not options.exact:
         course, contact = memory.course[k, r], (strike.contact[0], strike.contact[1])
         tau = min(read_clock(course, now), course.stop)
-        base = evaluate_curve(plan.breaks, plan.coefficients, r, tau, True)
+        base = evaluate_curve(plan.breaks, curves, r, tau, True)
         limit, miss = plan.body[r].speed_limit, options.published.miss_weight
         plan_least_acceleration(course, now, begin, (base[0], base[1]), contact, (vx, vy), strike.time, limit, miss)
         return
@@ -133,7 +152,7 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     plan_approach(
         memory.course[k, r],
         plan.breaks,
-        plan.coefficients,
+        curves,
         r,
         now,
         begin,

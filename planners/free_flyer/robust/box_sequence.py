@@ -10,6 +10,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.physics.impact import compute_mass_fractions
 from planners.plan import Tube
 
+NARROW = 1e-9  # a box of this width has no inside [m]
 VERTICES = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # which end of x and of y: (x-,y-), (x-,y+), (x+,y-), (x+,y+)
 
 
@@ -58,7 +59,7 @@ class BoxSequence:
             position: shape (..., 2) [m].
         """
         lower, upper = self.boxes[k]
-        wide = upper - lower > 1e-9
+        wide = upper - lower > NARROW
         return np.where(wide, (position - lower) / np.where(wide, upper - lower, 1.0), 0.5)
 
     def command(self, k: int, position: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from planners.bezier import Curve
 from planners.budget import Budget
 from planners.errors import Infeasible, PlanningError
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.robust.box_sequence import BoxSequence, compute_arrival, compute_contacts
+from planners.free_flyer.robust.box_sequence import NARROW, BoxSequence, compute_arrival, compute_contacts
 from planners.free_flyer.robust.conditions import Conditions, check_conditions, make_conditions
 from planners.free_flyer.robust.deviation_search import DeviationOptimum, maximise_deviation
 from planners.free_flyer.robust.least_cost import RobustEvents, minimise_robust_cost
@@ -23,7 +23,7 @@ from planners.free_flyer.robust.task import RobustOptions, RobustTask
 from planners.free_flyer.specification.requirement import read_demands
 from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
 from planners.free_flyer.validation import SUBSTEPS, compute_robustness
-from planners.plan import Plan, PlannedImpact
+from planners.plan import Plan, PlannedImpact, PlannedResponse
 from planners.solvers import check_solver
 
 
@@ -160,6 +160,7 @@ def _finish(task: RobustTask, optimum: DeviationOptimum, events: RobustEvents, b
         deviation_bound=optimum.bound,
         tubes={sequence.object: events.tube},
         responses={name: responses.curves(name) for name in scenario.robots},
+        planned_responses=_plan_intervals(responses),
     )
 
 
@@ -196,6 +197,21 @@ def _make_impacts(scenario: FreeFlyerScenario, sequence: BoxSequence) -> tuple[P
             )
         )
     return tuple(impacts)
+
+
+def _plan_intervals(responses: Responses) -> tuple[PlannedResponse, ...]:
+    """Return when which responses hold, and the velocity that is wanted, for every impact."""
+    sequence, times = responses.sequence, responses.times
+    intervals = {one.impact: one for mine in responses.intervals.values() for one in mine}
+    planned = []
+    for k in range(1, len(sequence.hitters) + 1):
+        width = 2.0 * sequence.halves[k]
+        wide = width > NARROW
+        rise = sequence.commands[k - 1, 1] - sequence.commands[k - 1, 0]
+        one, gain = intervals[k], np.where(wide, rise / np.where(wide, width, 1.0), 0.0)
+        leave, join = float(times[one.before]), float(times[one.after])
+        planned.append(PlannedResponse(one.start, one.end, leave, join, gain))
+    return tuple(planned)
 
 
 def _shrink(scenario: FreeFlyerScenario) -> FreeFlyerScenario:

@@ -313,3 +313,28 @@ def return_to_plan(
     base = evaluate_course(course, breaks, coefficients, r, now)
     offset = (begin[0] - base[0], begin[1] - base[1], begin[2] - base[2], begin[3] - base[3], 0.0, 0.0)
     fit_quintic(course, offset, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+
+@compiled
+def rejoin_plan(
+    course: np.record,
+    breaks: np.ndarray,
+    coefficients: np.ndarray,
+    r: int,
+    now: float,
+    begin: Motion,
+    shortest: float,
+) -> None:
+    """Plan the course from a motion to a plan that has changed; its clock goes on, and so does a return under way.
+
+    Args:
+        course: a COURSE, written.
+        breaks, coefficients: of all robots, see `PlanTable`.
+        now: present time [s].
+        begin: motion to start from.
+        shortest: duration of the quintic at least [s].
+    """
+    course.since, course.until = now, max(course.until, now + shortest)
+    course.quintic[:] = 0.0
+    base = evaluate_course(course, breaks, coefficients, r, now)
+    fit_quintic(course, subtract_motion(begin, base), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))

@@ -154,7 +154,7 @@ def test_replans_every_half_second_in_the_window(loop: Loop) -> None:
     times = []
     for k in range(350):
         now = 0.1 * k
-        if now >= 10.0 and should_replan(loop.memory, OPTIONS, K, CRACKLE, 0, now):
+        if now >= 10.0 and should_replan(loop.table, loop.memory, OPTIONS, K, CRACKLE, 0, now):
             loop.strike[0]["replanned_at"] = now
             times.append(now)
     np.testing.assert_allclose(np.diff(times), 0.5)
@@ -165,7 +165,7 @@ def test_replans_every_half_second_in_the_window(loop: Loop) -> None:
 def test_published_code_plans_each_impact_once(loop: Loop) -> None:
     once, times = make_record(VARIANTS["one_replan"])[0], []
     for k in range(100):
-        if should_replan(loop.memory, once, K, SNAP, 0, 0.1 * k):
+        if should_replan(loop.table, loop.memory, once, K, SNAP, 0, 0.1 * k):
             loop.strike[0]["replanned_at"] = 0.1 * k
             times.append(0.1 * k)
     assert times == [0.0]
