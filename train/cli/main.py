@@ -20,6 +20,7 @@ from typing import Any, Protocol
 
 import tyro
 
+from agents.errors import Diverged
 from impact_envs.errors import InputError, choices
 from planners.errors import PlanningError
 from train.evaluation.errors import WorkerLost
@@ -62,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"impact: {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
         return 2
-    except (PlanningError, WorkerLost) as error:
+    except (PlanningError, WorkerLost, Diverged) as error:
         print(f"impact: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
