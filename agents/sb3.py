@@ -10,13 +10,11 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from agents.actor import Actor, set_to_zero
-from agents.errors import Diverged
 from impact_envs.errors import InputError, choices
 
 REPLAY_SIZE = 100_000  # corrections that an off-policy algorithm learns from
@@ -141,31 +139,6 @@ def start_at_expert(model: BaseAlgorithm, log_std: float) -> None:
         log_std: logarithm of the exploration's standard deviation, before any squashing.
     """
     ALGORITHMS[find_name(model)].start_at_expert(model, log_std)
-
-
-def learn(model: BaseAlgorithm, steps: int, callback: BaseCallback | None = None) -> None:
-    """Go on learning.
-
-    Args:
-        model: of an algorithm in `ALGORITHMS`.
-        steps: corrections to answer.
-        callback: called at every step.
-
-    Raises:
-        Diverged: the weights, or what they predict, are no longer finite.
-    """
-    try:
-        model.learn(steps, callback, log_interval=1, reset_num_timesteps=False)
-        finite = all(torch.isfinite(parameter).all() for parameter in model.policy.parameters())
-    except ValueError as error:
-        if "to satisfy the constraint" not in str(error):  # as torch's distributions say it
-            raise
-        finite = False
-    if not finite:
-        raise Diverged(
-            f"training diverged after {model.num_timesteps} corrections: weights or predictions are not finite; "
-            f"try a smaller learning_rate than {model.learning_rate}"
-        )
 
 
 def export_actor(model: BaseAlgorithm, normalize: VecNormalize) -> Actor:

@@ -46,7 +46,7 @@ from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
 from train.evaluation.statistics import compare_pairs, compute_wilson_interval
 from train.evaluation.workers import end_with_parent
-from train.watch import EpisodeLog, show_progress, stop_on_signals
+from train.watch import EpisodeLog, learn, show_progress, stop_on_signals
 
 # Tuning seeds start here; evaluation seeds start at 2,000,000.
 TUNING_SEEDS = 1_000_000
@@ -97,7 +97,7 @@ def _train(args: Args) -> dict[str, Any]:
             while model.num_timesteps < args.steps and not stopping.is_set():
                 ahead = args.checkpoint_every - model.num_timesteps % args.checkpoint_every
                 ahead = min(ahead, args.steps - model.num_timesteps)
-                sb3.learn(model, ahead, callback)
+                learn(model, ahead, callback)
                 if not stopping.is_set():
                     run.evaluate_if_due()
                 run.save()

@@ -13,8 +13,7 @@ from safetensors.numpy import load, save
 
 from agents.actor import load_policy
 from agents.checkpoint import compute_digest
-from agents.errors import Diverged
-from agents.sb3 import export_actor, learn
+from agents.sb3 import export_actor
 from agents.training_state import load_training, save_training
 from tests.agents.target import make_model
 from tests.fuzz.mutations import (
@@ -29,7 +28,9 @@ from tests.fuzz.mutations import (
     strange,
     write_folder,
 )
+from train.evaluation.errors import Diverged
 from train.evaluation.player import SHIPPED
+from train.watch import learn
 
 POLICIES = {path.name: read_folder(path) for path in sorted(SHIPPED.iterdir())}
 NUMBERS = (0.0, -1.0, 1e-40, 1e30, np.nan, np.inf, -np.inf)

@@ -20,10 +20,9 @@ from typing import Any, Protocol
 
 import tyro
 
-from agents.errors import Diverged
 from impact_envs.errors import InputError, choices
 from planners.errors import PlanningError
-from train.evaluation.errors import WorkerLost
+from train.evaluation.errors import Diverged, WorkerLost
 
 COMMANDS = ("list", "plan", "run", "train", "evaluate", "report", "reproduce", "demo")
 # Faults of the disk; some libraries do not say of which file.
