@@ -16,8 +16,6 @@ TABLES = {name: tomllib.loads(text) for name, text in TEXTS.items()}
 SUITES = {
     name: tomllib.loads(find_part("impact_envs", name, "SCHEMA").suite_file.read_text()) for name in list_domains()
 }
-    name: tomllib.loads(find_part("impact_envs", name, "SCHEMA").suite_file.read_text()) for name in list_domains()
-}
 POLYGON = {"vertices": [[-0.14, -0.14], [0.14, -0.14], [0.14, 0.14], [-0.14, 0.14]]}
 TABLES["polygon"] = TABLES["throw_and_catch"] | {
     "objects": {"pop": TABLES["throw_and_catch"]["objects"]["pop"] | POLYGON}
