@@ -71,7 +71,7 @@ def write_checkpoint(tensors: tuple[Path, Mapping[str, np.ndarray]], record: tup
     """
     (weights, arrays), (description, content) = tensors, record
     data = save({name: np.array(array, order="C") for name, array in arrays.items()})
-    content = content.model_copy(update={"weights_digest": _digest(data)})
+    content = content.model_copy(update={"weights_digest": compute_digest(data)})
     # Both are written before either gets its name, so that they do not part when the disk is full.
     with replace_file(weights) as new_weights, replace_file(description) as new_description:
         new_weights.write_bytes(data)
@@ -95,7 +95,7 @@ def read_tensors(path: Path, record: WeightsRecord) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except SafetensorError as error:
         raise InputError(f"{path}: not a safetensors file: {error}") from None
-    if record.weights_digest not in (None, _digest(data)):
+    if record.weights_digest not in (None, compute_digest(data)):
         raise InputError(f"{path}: is damaged, or of another checkpoint: weights_digest of its JSON file differs")
     for name, array in tensors.items():
         if not np.all(np.isfinite(array)):
@@ -124,5 +124,6 @@ def check_tensors(path: Path, tensors: Mapping[str, np.ndarray], expected: Mappi
             raise InputError(f"{path}: tensor '{name}' is {found}, expected {wanted}")
 
 
-def _digest(data: bytes) -> str:
+def compute_digest(data: bytes) -> str:
+    """Return the digest that a record keeps of its safetensors file."""
     return hashlib.sha256(data).hexdigest()

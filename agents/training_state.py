@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from itertools import zip_longest
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -17,6 +20,7 @@ from agents.sb3 import find_name, get_statistics
 from impact_envs.errors import InputError
 
 STATE, DESCRIPTION = "training.safetensors", "training.json"
+MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # of a parameter, as Adam names them
 REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
@@ -194,22 +198,45 @@ def _restore_parameters(
             f"{path.with_name(DESCRIPTION)}: key 'param_groups': has {', '.join(record.param_groups)}; "
             f"expected {', '.join(optimizers)}"
         )
-    states: dict[str, dict[str, Any]] = {name: {"state": {}} for name in optimizers}
-    for name in tensors.keys() - expected.keys():
-        optimizer, _, rest = name.partition("/")
-        index, _, key = rest.partition("/")
-        if optimizer not in states or not index.isdigit() or not key:
+    rest = {name: array for name, array in tensors.items() if name not in expected}
+    for name in rest:
+        if name.partition("/")[0] not in optimizers:
             raise InputError(f"{path}: tensor '{name}' is unknown")
-        states[optimizer]["state"].setdefault(int(index), {})[key] = torch.from_numpy(tensors[name])
-    for name, groups in record.param_groups.items():
-        states[name]["param_groups"] = groups
+    states = {name: _read_optimizer(path, model, name, rest, record) for name in optimizers}
     for name in expected:
         if name in variables:
             variables[name].data.copy_(torch.from_numpy(tensors[name]))
             continue
         network, _, key = name.partition("/")
         states.setdefault(network, {})[key] = torch.from_numpy(tensors[name])
-    try:
-        model.set_parameters(cast(Any, states), exact_match=True)
-    except (ValueError, RuntimeError, KeyError) as error:
-        raise InputError(f"{path}: does not fit the model: {str(error).splitlines()[0]}") from None
+    model.set_parameters(cast(Any, states), exact_match=True)
+
+
+def _read_optimizer(
+    path: Path, model: BaseAlgorithm, name: str, tensors: dict[str, np.ndarray], record: TrainingRecord
+) -> dict[str, Any]:
+    """Return the state of one of Adam's instances: the moments are read, all else is the new model's.
+
+    What is not a tensor must be the same in the file, but for the learning rate: a resumed run may have another one.
+    """
+    own: list[dict[str, Any]] = attrgetter(name)(model).state_dict()["param_groups"]
+    for found, group in zip_longest(record.param_groups[name], json.loads(json.dumps(own)), fillvalue={"params": None}):
+        for key in (found.keys() & group.keys()) - {"lr"}:
+            if found[key] != group[key]:
+                where = f"{path.with_name(DESCRIPTION)}: key 'param_groups.{name}': {key}"
+                raise InputError(f"{where} is {found[key]!r}, expected {group[key]!r}")
+    found = {key: array for key, array in tensors.items() if key.partition("/")[0] == name}
+    moments: dict[int, dict[str, np.ndarray]] = {}
+    parameters = [parameter for group in attrgetter(name)(model).param_groups for parameter in group["params"]]
+    for index, parameter in enumerate(parameters):
+        if any(f"{name}/{index}/{key}" in found for key in MOMENTS):  # all of them, or none before the first update
+            zeros = np.zeros_like(parameter.detach().cpu().numpy())
+            moments[index] = {"step": np.zeros((), np.float32), "exp_avg": zeros, "exp_avg_sq": zeros}
+    expected = {f"{name}/{index}/{key}": zero for index, zeros in moments.items() for key, zero in zeros.items()}
+    check_tensors(path, found, expected)
+    for key, array in found.items():
+        least = {"step": 1.0, "exp_avg_sq": 0.0}.get(key.rpartition("/")[2], -np.inf)
+        if np.any(array < least):
+            raise InputError(f"{path}: tensor '{key}' holds a value below {least:g}")
+    state = {index: {key: torch.from_numpy(found[f"{name}/{index}/{key}"]) for key in MOMENTS} for index in moments}
+    return {"state": state, "param_groups": own}

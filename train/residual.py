@@ -46,7 +46,7 @@ from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
 from train.evaluation.statistics import compare_pairs, compute_wilson_interval
 from train.evaluation.workers import end_with_parent
-from train.watch import EpisodeLog, show_progress, stop_on_signals
+from train.watch import EpisodeLog, learn, show_progress, stop_on_signals
 
 # Tuning seeds start here; evaluation seeds start at 2,000,000.
 TUNING_SEEDS = 1_000_000
@@ -68,6 +68,7 @@ def main(args: Args) -> dict[str, Any]:
         InputError: bad arguments, or a run in ``out`` that cannot be gone on with.
         PlanningError: the expert found no plan.
         WorkerLost: the process of an environment ended.
+        Diverged: the weights are no longer finite; the last checkpoint stays.
     """
     check_args(args)
     load_scenario(args.scenario).suite(args.suite)  # refused before anything is written
@@ -96,7 +97,7 @@ def _train(args: Args) -> dict[str, Any]:
             while model.num_timesteps < args.steps and not stopping.is_set():
                 ahead = args.checkpoint_every - model.num_timesteps % args.checkpoint_every
                 ahead = min(ahead, args.steps - model.num_timesteps)
-                model.learn(ahead, callback, log_interval=1, reset_num_timesteps=False)
+                learn(model, ahead, callback)
                 if not stopping.is_set():
                     run.evaluate_if_due()
                 run.save()
@@ -134,6 +135,9 @@ def check_args(args: Args) -> None:
         if getattr(args, name) < low:
             raise InputError(f"{name} {getattr(args, name)} is too small; choices: {low}, {low + 1}, ...")
     sb3.check_algorithm(args.algo)
+    for name, low, high in (("learning_rate", 0.0, 1.0), ("log_std", -20.0, 2.0)):  # SAC's own limits of the deviation
+        if not low <= (value := getattr(args, name)) <= high:
+            raise InputError(f"{name} {value:g}: choices: from {low:g} to {high:g}")
     if args.rollout % args.n_envs:
         raise InputError(f"rollout {args.rollout} is not a multiple of n_envs {args.n_envs}")
     if not args.hidden or min(args.hidden) < 1:

@@ -1,4 +1,4 @@
-"""Watch a training run: a bar, the outcome of its episodes in the log, and a stop on request."""
+"""Watch a training run: a bar, its episodes in the log, a stop on request, and an end where it diverges."""
 
 from __future__ import annotations
 
@@ -8,9 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+
+from train.evaluation.errors import Diverged
 
 
 class EpisodeLog(BaseCallback):
@@ -32,6 +36,31 @@ class EpisodeLog(BaseCallback):
                 self.logger.record_mean("episode/robustness", info["robustness"])
                 self.logger.record_mean("episode/success", float(info["success"]))
         return not self._stopping.is_set()
+
+
+def learn(model: BaseAlgorithm, steps: int, callback: BaseCallback | None = None) -> None:
+    """Go on learning.
+
+    Args:
+        model: to train.
+        steps: corrections to answer.
+        callback: called at every step.
+
+    Raises:
+        Diverged: the weights, or what they predict, are no longer finite.
+    """
+    try:
+        model.learn(steps, callback, log_interval=1, reset_num_timesteps=False)
+        finite = all(torch.isfinite(parameter).all() for parameter in model.policy.parameters())
+    except ValueError as error:
+        if "to satisfy the constraint" not in str(error):  # as torch's distributions say it
+            raise
+        finite = False
+    if not finite:
+        raise Diverged(
+            f"training diverged after {model.num_timesteps} corrections: weights or predictions are not finite; "
+            f"try a smaller learning_rate than {model.learning_rate}"
+        )
 
 
 @contextmanager

@@ -1,9 +1,12 @@
 """Inputs that are nearly right: nested tables and text with some parts changed."""
 
+import contextlib
 import copy
+import io
 import math
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 from hypothesis import HealthCheck, Phase, settings
@@ -11,8 +14,9 @@ from hypothesis import strategies as st
 
 from impact_envs.errors import InputError
 from planners.errors import PlanningError
+from train.cli.main import main
 
-PATIENCE = 10.0  # longest time of one input [s]; shared machines are slow
+PATIENCE = 10.0  # longest time of one input, of this process alone [s]: machines are shared
 
 NUMBERS = (
     0,
@@ -133,10 +137,67 @@ def mistyped(draw, text, pieces=()):
     return text
 
 
+@st.composite
+def damaged(draw, data):
+    """Return bytes with some of them changed, taken out, doubled or cut off."""
+    for _ in range(draw(st.integers(1, 3))):
+        # Faults near the ends matter as much as those in between: formats keep their tables there.
+        reach = draw(st.sampled_from((8, 64, max(len(data), 1))))
+        first = draw(st.integers(0, min(reach, len(data))))
+        first = len(data) - first if draw(st.booleans()) else first
+        length = draw(st.sampled_from((0, 1, 1, 8, 100)))
+        piece = data[first : first + length]
+        change = draw(st.sampled_from(("flip", "flip", "remove", "double", "insert", "cut")))
+        if change == "flip":
+            piece = bytes(byte ^ draw(st.sampled_from((1, 0x80, 0xFF))) for byte in piece)
+        elif change == "insert":
+            piece = draw(st.binary(max_size=8)) + piece
+        else:
+            piece = {"remove": b"", "double": piece * 2, "cut": b""}[change]
+        data = data[:first] + piece + (b"" if change == "cut" else data[first + length :])
+    return data
+
+
+class Content(bytes):
+    """The content of a file; a failing test shows the beginning only."""
+
+    def __repr__(self):
+        return f"{self[:300]!s} ({len(self)} bytes)"
+
+
+def read_folder(folder):
+    """Return the content of every file below a folder, by its path there."""
+    files = sorted(path for path in Path(folder).rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): Content(path.read_bytes()) for path in files}
+
+
+def write_folder(folder, contents):
+    """Write files, and take away all others below a folder; a file that is right already is not written again."""
+    held = read_folder(folder)
+    for name in held.keys() - contents.keys():
+        (folder / name).unlink()
+    for name, content in contents.items():
+        if held.get(name) != content:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+
+
+def answer(*arguments):
+    """Return the exit code of a command; fail unless it ends in time, with a result or a refusal in one line."""
+    start, shown, said = time.process_time(), io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(shown), contextlib.redirect_stderr(said):
+        code = main(arguments)
+    lines = [line for line in said.getvalue().splitlines() if line.startswith("impact: ")]
+    assert (code, len(lines)) in {(0, 0), (1, 1), (2, 1)}, (code, said.getvalue())
+    assert bool(shown.getvalue()) == (code == 0)
+    assert time.process_time() - start < PATIENCE
+    return code
+
+
 @contextmanager
 def answered():
     """Fail unless the block ends in time, with a result or a refusal in one line."""
-    start = time.perf_counter()
+    start = time.process_time()
     try:
         yield
     except (InputError, PlanningError) as error:
@@ -144,7 +205,7 @@ def answered():
     else:
         line = "a result"
     assert line and line.isprintable(), line  # so it is one line
-    assert time.perf_counter() - start < PATIENCE
+    assert time.process_time() - start < PATIENCE
 
 
 def check_finite(*values):

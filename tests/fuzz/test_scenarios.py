@@ -7,12 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from impact_envs import parallel_env
-from impact_envs.domain import find_scenarios
+from impact_envs.domain import find_part, find_scenarios, list_domains
 from impact_envs.scenario import build_scenario, load_scenario
 from tests.fuzz.mutations import answered, check, check_finite, mistyped, mutated
 
 TEXTS = {path.stem: path.read_text() for path in find_scenarios()}
 TABLES = {name: tomllib.loads(text) for name, text in TEXTS.items()}
+SUITES = {
+    name: tomllib.loads(find_part("impact_envs", name, "SCHEMA").suite_file.read_text()) for name in list_domains()
+}
 POLYGON = {"vertices": [[-0.14, -0.14], [0.14, -0.14], [0.14, 0.14], [-0.14, 0.14]]}
 TABLES["polygon"] = TABLES["throw_and_catch"] | {
     "objects": {"pop": TABLES["throw_and_catch"]["objects"]["pop"] | POLYGON}
@@ -80,6 +83,15 @@ def check_tables(data):
         play(scenario if suite is None else scenario.suite(suite))
 
 
+def check_suites(data):
+    """Play in a suite of the shipped files, changed."""
+    table = data.draw(st.sampled_from(list(TABLES.values())))
+    suites = data.draw(mutated(SUITES[table["domain"]]))
+    with answered():
+        scenario = build_scenario(table | {"suites": suites}, "mine.toml")
+        play(scenario.suite(data.draw(st.sampled_from(list(suites)))) if suites else scenario)
+
+
 def check_text(data, folder):
     path = folder / "mine.toml"
     text = data.draw(st.sampled_from(list(TEXTS.values())).flatmap(mistyped))
@@ -88,23 +100,36 @@ def check_text(data, folder):
         play(load_scenario(path))
 
 
-@check(150)
+@check(80)
 @given(data=st.data())
 def test_changed_tables(data):
     check_tables(data)
 
 
-@check(50)
+@check(30)
+@given(data=st.data())
+def test_changed_suites(data):
+    check_suites(data)
+
+
+@check(30)
 @given(data=st.data())
 def test_changed_text(data, tmp_path_factory):
     check_text(data, tmp_path_factory.getbasetemp())
 
 
 @pytest.mark.slow
-@check(4000)
+@check(3000)
 @given(data=st.data())
 def test_many_changed_tables(data):
     check_tables(data)
+
+
+@pytest.mark.slow
+@check(500)
+@given(data=st.data())
+def test_many_changed_suites(data):
+    check_suites(data)
 
 
 @pytest.mark.slow

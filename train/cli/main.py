@@ -22,7 +22,7 @@ import tyro
 
 from impact_envs.errors import InputError, choices
 from planners.errors import PlanningError
-from train.evaluation.errors import WorkerLost
+from train.evaluation.errors import Diverged, WorkerLost
 
 COMMANDS = ("list", "plan", "run", "train", "evaluate", "report", "reproduce", "demo")
 # Faults of the disk; some libraries do not say of which file.
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"impact: {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
         return 2
-    except (PlanningError, WorkerLost) as error:
+    except (PlanningError, WorkerLost, Diverged) as error:
         print(f"impact: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

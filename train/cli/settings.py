@@ -26,6 +26,9 @@ def _parse_assignment(text: str) -> tuple[str, Any]:
     if not equals or not key.strip():
         raise InputError(f"--set {text}: expected KEY=VALUE, for example true.restitution=0.5")
     try:
-        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+        table = tomllib.loads(f"value = {value}")
     except tomllib.TOMLDecodeError:
-        return key.strip(), value.strip()
+        table = {}
+    except (ValueError, RecursionError):  # a number of thousands of digits, lists in thousands of lists
+        raise InputError(f"--set {key.strip()}: too many digits, or nested too deeply: {value:.60}") from None
+    return key.strip(), table["value"] if table.keys() == {"value"} else value.strip()

@@ -137,8 +137,6 @@ class Journal:
             *lines, tail = self._path.read_bytes().split(b"\n")
         except OSError as error:
             raise InputError(f"{self._path}: cannot be read: {error.strerror}") from None
-        if tail:
-            write_atomically(self._path, b"".join(line + b"\n" for line in lines))
         rows = {}
         for number, line in enumerate(lines, start=1):
             try:
@@ -147,6 +145,8 @@ class Journal:
                 raise InputError(f"{self._path}: line {number} is not an episode: {describe_fault(error)}") from None
             row = json.loads(line)
             rows[row_key(row)] = row
+        if tail:  # only now: a journal that is refused stays as it is
+            write_atomically(self._path, b"".join(line + b"\n" for line in lines))
         return rows
 
 

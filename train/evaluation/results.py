@@ -165,6 +165,8 @@ def _check_policies(manifest: Manifest, summary: Summary, directory: Path) -> No
 def _read_episodes(path: Path) -> pd.DataFrame:
     try:
         episodes = pd.read_parquet(path, columns=COLUMNS)
+        for name in COLUMNS:
+            episodes[name].tolist()  # text is decoded when it is used, and may turn out to be none
     except OSError as error:
         raise InputError(f"evaluation file {path}: cannot be read: {error.strerror or 'not Parquet'}") from None
     except ValueError as error:  # pyarrow's own errors are ValueErrors with many lines
@@ -180,7 +182,8 @@ def _read_replay(path: Path) -> Replay:
     replay = read_record(Replay, path)
     carried = {shape.body for shape in replay.shapes if shape.body is not None}
     wanted = [f"{body}.{name}" for body in replay.bodies for name in ("x", "y", "heading")]
-    lengths = {len(replay.signals.get(name, ())) for name in wanted} | {len(replay.robustness_bounds)}
+    lengths = {len(replay.signals.get(name, ())) for name in (*wanted, *replay.signals)}
+    lengths.add(len(replay.robustness_bounds))
     if lengths != {len(replay.times)}:
         raise InputError(f"evaluation file {path}: signals and bounds need {len(replay.times)} samples each")
     if carried - set(replay.bodies):
