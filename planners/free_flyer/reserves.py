@@ -32,6 +32,8 @@ class Reserves:
             near zero has no direction [m].
         push_speed: the same for plans that bear deviations: least speed of the object along the direction of an
             impact, before and after it [m/s].
+        tracking: robustness that the boxes of such plans keep, because no flight is exact [m]; flown with their responses
+            in the world as believed, objects leave their boxes by less than a tenth of it.
 
     Source: speed, first, gap, last and avoid are near the best of closed-loop trials of a prototype with restitution,
     mass, sensing, drift and actuation perturbed; the others are choices.
@@ -53,6 +55,7 @@ class Reserves:
     braking: float = 0.75
     push: float = 0.1
     push_speed: float = 0.02
+    tracking: float = 1e-3
 
     def halved(self) -> Reserves:
         """Return a copy with half the margins, for tight tasks."""

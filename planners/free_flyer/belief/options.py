@@ -140,6 +140,10 @@ class Response:
 
     edge: float = 5e-3  # so far outside its box an object is still answered: room for errors of tracking [m]
     least: float = 1e-3  # change of where the object will be that changes a robot's curve; less is met at contact [m]
+    # Deviations greater than the plan's by this share, and by so many standard deviations, are no chance: the world is
+    # not as believed, and the plan promises nothing any more.
+    excess: float = 0.1
+    sure: float = 3.0
     rejoin: Positive = 4.0  # in which a course goes over to a changed curve, at least [s]
 
 

@@ -107,6 +107,7 @@ class PlanTable(NamedTuple):
         pilot: of each robot's tracking problem, shape (r, 52).
         last: of each object, how long the plan lets it fly after its last impact if the plan says how much it may be
             off then, 0 otherwise, shape (objects,) [s].
+        deviation: of an object's velocity after an impact per axis that the plan bears, 0: none [m/s].
         response: RESPONSE of each impact, shape (K,); of a plan without responses, or where nobody follows them, (0,).
         answer: number of the impact whose place decides where each robot goes on a segment of its curve, or NO_IMPACT,
             shape (r, S).
@@ -130,6 +131,7 @@ class PlanTable(NamedTuple):
     side: np.ndarray
     pilot: np.ndarray
     last: np.ndarray
+    deviation: float
     response: np.ndarray
     answer: np.ndarray
     term: np.ndarray
@@ -177,6 +179,7 @@ def make_plan_table(
             [build_tracking_problem(robot, scenario.control_period, weights).row for robot in scenario.robots.values()]
         ),
         np.array([_find_last_flight(plan, name) for name in scenario.objects]),
+        float(plan.deviation or 0.0),
         _make_responses(plan, responses, knot, begin),
         answer,
         term,

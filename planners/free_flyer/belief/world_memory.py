@@ -92,7 +92,8 @@ STRIKE = np.dtype(
         ("contact", float, 2),  # centre of the robot [m]
         ("robot_minus", float, 2),  # velocity of the robot just before and after [m/s]
         ("robot_plus", float, 2),
-        ("object_minus", float, 2),  # velocity of the object just before [m/s]
+        ("object_minus", float, 2),  # velocity of the object just before and after [m/s]
+        ("object_plus", float, 2),
         # Times [s] at which something happened last.
         ("last_contact", float),  # the object was touched
         ("looked_at", float),  # it was asked whether the impact should be moved, or one inserted
@@ -119,10 +120,13 @@ HIT = np.dtype(
     [
         ("contact", CONTACT),
         ("is_pending", bool),  # it is still observed
+        ("is_answered", bool),  # it was a response of the plan
+        ("is_beyond", bool),  # a response's deviation was beyond what the plan bears, so it promises nothing any more
         ("time", float),  # [s]
         ("robot", int),  # that hit
         ("before", float, 2),  # velocity of the object before it [m/s]
         ("latest", float, 2),  # velocity of the object a control period ago [m/s]
+        ("aim", float, 2),  # velocity of the object after it that was asked for [m/s]
         ("commanded", float),  # change of the object's velocity that was asked for [m/s]
         ("ratio", float),  # observed over commanded change, 0 before any
         ("seen", int),  # number of impacts whose ratio was observed

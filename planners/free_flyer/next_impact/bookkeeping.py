@@ -163,6 +163,7 @@ def take_contact(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
         return
     if strike.is_solved:
         hit.is_pending, hit.time, hit.robot, hit.commanded = True, now, r, strike.change
+        hit.is_answered, hit.aim = strike.is_answered, strike.object_plus
         hit.before, hit.contact = hit.latest, memory.felt[k, r]
         hit.watched_at, hit.thrust, hit.learned_at = now, 0.0, -math.inf
         hit.gained_variance, hit.recoil_variance = 0.0, UNSEEN
@@ -217,6 +218,13 @@ def learn_from_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: i
         watch_recoil(memory, options, k, o, now)
         if since < options.timing.observable - ROUND_OFF:
             continue
+        if hit.is_answered and not hit.is_beyond:
+            off = max(
+                abs(z.velocity[0] - z.drift[0] * since - hit.aim[0]),
+                abs(z.velocity[1] - z.drift[1] * since - hit.aim[1]),
+            )
+            most = (1.0 + options.response.excess) * plan.deviation
+            hit.is_beyond = off > most + options.response.sure * math.sqrt(max(z.P_vv, 0.0))
         flight = since + plan.period  # the velocity before the hit is that of a step before
         x = z.velocity[0] - hit.before[0] - z.drift[0] * flight
         y = z.velocity[1] - hit.before[1] - z.drift[1] * flight

@@ -39,7 +39,7 @@ def is_answered(plan: PlanTable, memory: WorldMemory, options: Options, k: int, 
     """Return whether the plan has a response to where object o will be at its coming impact, or at its end."""
     strike = memory.strike[k, o]
     index = strike.index
-    if len(plan.response) == 0 or strike.is_inserted:
+    if len(plan.response) == 0 or strike.is_inserted or memory.hit[k, o].is_beyond:
         return False
     knot = len(plan.impact) + o if index == NO_IMPACT else index
     time = plan.horizon if index == NO_IMPACT else plan.impact[index].time

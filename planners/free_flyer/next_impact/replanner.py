@@ -101,6 +101,7 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     strike.robot_minus[0], strike.robot_minus[1] = solution.robot_minus
     strike.robot_plus[0], strike.robot_plus[1] = solution.robot_plus
     strike.object_minus[0], strike.object_minus[1] = solution.object_minus
+    strike.object_plus[0], strike.object_plus[1] = solution.object_plus
     strike.change = math.hypot(solution.object_plus[0] - vx, solution.object_plus[1] - vy)
 
 

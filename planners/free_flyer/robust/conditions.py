@@ -43,11 +43,11 @@ def make_conditions(
 
     Args:
         scenario: of one object; says gap, final velocity and the box in which the object starts.
-        reserves: give the gap where the scenario does not.
+        reserves: give the margin, and the gap where the scenario does not.
     """
     body = next(iter(scenario.objects.values()))
     gap = scenario.impact_gap or reserves.times(scenario.horizon)[1]
-    return Conditions(gap, body.final_speed, body.start_uncertainty)
+    return Conditions(gap, body.final_speed, body.start_uncertainty, reserves.tracking)
 
 
 def check_conditions(scenario: FreeFlyerScenario, conditions: Conditions) -> None:

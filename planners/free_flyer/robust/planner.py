@@ -76,7 +76,9 @@ def make_impact_robust_plan(
     _check_arguments(scenario, max_impacts, time_limit, time_grid, options)
     check_solver(solver)
     if conditions is None:
-        conditions = make_conditions(scenario, reserves)
+        # Nobody flies the paper's points.
+        kept = reserves if time_grid is None else replace(reserves, tracking=0.0)
+        conditions = make_conditions(scenario, kept)
     if time_grid is not None:
         conditions = replace(conditions, points=True)
     if conditions.points:
