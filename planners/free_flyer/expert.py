@@ -23,7 +23,16 @@ from planners.free_flyer.belief.options import Options, get_options, make_record
 from planners.free_flyer.belief.plan_table import NO_IMPACT, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
-from planners.free_flyer.closed_loop.world_loop import ADOPT, APPLY, CONTROL, DECIDE, OBSERVE, PREPARE, START, run_experts
+from planners.free_flyer.closed_loop.world_loop import (
+    ADOPT,
+    APPLY,
+    CONTROL,
+    DECIDE,
+    OBSERVE,
+    PREPARE,
+    START,
+    run_experts,
+)
 from planners.free_flyer.next_impact.desired_velocity import choose_desired_velocity, find_next_knot
 from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
