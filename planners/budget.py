@@ -1,11 +1,16 @@
-"""The time that planning may take, and what its stages took."""
+"""What planning may take: wall time, or work that is the same on every machine; and what its stages took."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+
+from planners.errors import OutOfWork
+
+ROW = 0.2  # work of writing a row and handing it to a solver, over that of an iteration of the simplex method
 
 
 @dataclass
@@ -38,3 +43,34 @@ class Budget:
     def left(self) -> float:
         """Return the time left [s]."""
         return self.limit - self.elapsed
+
+
+@dataclass
+class Work:
+    """Count what solvers do, and end planning at a limit: the same on every machine, however busy it is.
+
+    A unit is an iteration of the simplex method; some 5,000 to 10,000 take a second.
+
+    Args:
+        limit: of all solutions together [units].
+        nodes: of branch and bound in each solution; None: any number.
+        done: so far [units].
+    """
+
+    limit: float = math.inf
+    nodes: int | None = None
+    done: float = 0.0
+
+    def spend(self, rows: int, iterations: int = 0) -> None:
+        """Count a solution.
+
+        Args:
+            rows: of its problem.
+            iterations: of the simplex method.
+
+        Raises:
+            OutOfWork: the limit is passed.
+        """
+        self.done += ROW * rows + iterations
+        if self.done > self.limit:
+            raise OutOfWork(f"{self.done:.0f} units of work are done, {self.limit:.0f} are allowed")

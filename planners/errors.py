@@ -26,3 +26,7 @@ class Infeasible(PlanningError):
 
 class SolverFailed(PlanningError):
     """The solver stopped without a usable answer, or its answer failed the independent check."""
+
+
+class OutOfWork(Exception):
+    """The work that planning may take is done; no PlanningError, for what tries something else after those must end."""

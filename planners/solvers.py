@@ -16,6 +16,7 @@ import highspy
 import numpy as np
 
 from impact_envs.errors import InputError, choices
+from planners.budget import Work
 from planners.errors import Infeasible, SolverFailed
 from planners.mixed_integer import Affine, Model, Solution, stack
 
@@ -51,6 +52,7 @@ class Outcome:
         objective: of this point, constants included.
         bound: proven lower bound of the objective.
         infeasible: proven to have no solution.
+        iterations: of the simplex method; only HiGHS says.
     """
 
     status: str
@@ -58,6 +60,7 @@ class Outcome:
     objective: float = math.inf
     bound: float = -math.inf
     infeasible: bool = False
+    iterations: int = 0
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,7 @@ def solve(
     relative_gap: float = RELATIVE_GAP,
     solver: str = "highs",
     squares: Squares = (),
+    work: Work | None = None,
 ) -> Solution:
     r"""Minimise a mixed-integer model with linear rows: objective + sum_i w_i e_i(x)^2.
 
@@ -110,6 +114,7 @@ def solve(
         relative_gap: (objective - bound) / |objective| at which the proof is complete; infinite: at the first point.
         solver: a key of `SOLVERS`.
         squares: pairs (w_i, e_i) of a weight >= 0 and an expression; not for HiGHS.
+        work: counts this solution and limits its nodes; of HiGHS alone it is the same on every machine.
 
     Returns:
         The best point and the proven bound.
@@ -117,9 +122,10 @@ def solve(
     Raises:
         InputError: unknown solver, or its package is not installed.
         Infeasible: proven to have no solution.
-        SolverFailed: no point within the time limit, no licence, or squares given to HiGHS.
+        SolverFailed: no point within the limits, no licence, or squares given to HiGHS.
+        OutOfWork: no more work is allowed.
     """
-    outcome = _run(model, Limits(time_limit, relative_gap), solver, squares)
+    outcome = _run(model, Limits(time_limit, relative_gap, work.nodes if work else None), solver, squares, work)
     if outcome.x is None:
         status = f"{SOLVERS[solver].title}: {outcome.status}, no solution found"
         raise SolverFailed(model.name, status, "raise the time limit")
@@ -127,7 +133,7 @@ def solve(
 
 
 def compute_lower_bound(
-    model: Model, time_limit: float, nodes: int, solver: str = "highs"
+    model: Model, time_limit: float, nodes: int, solver: str = "highs", work: Work | None = None
 ) -> tuple[float, np.ndarray | None]:
     """Return a proven lower bound of a model's objective from a search of limited size.
 
@@ -136,6 +142,7 @@ def compute_lower_bound(
         time_limit: wall time [s].
         nodes: greatest number of nodes of branch and bound; 0 solves the linear relaxation alone.
         solver: a key of `SOLVERS`.
+        work: counts this search.
 
     Returns:
         The bound, and the best point found, shape (n,), if any; with 0 nodes its integers are fractional.
@@ -143,12 +150,13 @@ def compute_lower_bound(
     Raises:
         InputError: unknown solver, or its package is not installed.
         Infeasible: proven to have no solution.
+        OutOfWork: no more work is allowed.
     """
-    outcome = _run(model, Limits(time_limit, BOUND_GAP, nodes), solver, ())
+    outcome = _run(model, Limits(time_limit, BOUND_GAP, nodes), solver, (), work)
     return outcome.bound, outcome.x
 
 
-def _run(model: Model, limits: Limits, name: str, squares: Squares) -> Outcome:
+def _run(model: Model, limits: Limits, name: str, squares: Squares, work: Work | None) -> Outcome:
     check_solver(name)
     solver = SOLVERS[name]
     if squares and not solver.quadratic:
@@ -156,6 +164,8 @@ def _run(model: Model, limits: Limits, name: str, squares: Squares) -> Outcome:
         status = f"{solver.title} takes no quadratic objective together with integer variables"
         raise SolverFailed(model.name, status, f"use solver {able}, or leave the quadratic terms out")
     outcome = solver.run(model, limits, squares)
+    if work is not None:
+        work.spend(len(model.inequalities) + len(model.equalities), outcome.iterations)
     if outcome.infeasible:
         raise Infeasible(model.name, "proven infeasible", "relax the formula, the limits or the horizon")
     return outcome
@@ -179,14 +189,15 @@ def _run_highs(model: Model, limits: Limits, squares: Squares) -> Outcome:
     solver.passModel(_make_highs_problem(model))
     solver.run()
     status, text = solver.getModelStatus(), solver.modelStatusToString(solver.getModelStatus()).lower()
-    if status in (highspy.HighsModelStatus.kInfeasible, highspy.HighsModelStatus.kUnboundedOrInfeasible):
-        return Outcome(text, infeasible=True)
     info = solver.getInfo()
+    iterations = max(info.simplex_iteration_count, 0)
+    if status in (highspy.HighsModelStatus.kInfeasible, highspy.HighsModelStatus.kUnboundedOrInfeasible):
+        return Outcome(text, infeasible=True, iterations=iterations)
     found = info.primal_solution_status == highspy.SolutionStatus.kSolutionStatusFeasible
     x = np.array(solver.getSolution().col_value) if found else None
     continuous = limits.nodes == 0 or not any(model.integer)
     bound = info.objective_function_value if continuous else info.mip_dual_bound
-    return Outcome(text, x, info.objective_function_value, bound)
+    return Outcome(text, x, info.objective_function_value, bound, iterations=iterations)
 
 
 def _make_highs_problem(model: Model) -> highspy.HighsLp:

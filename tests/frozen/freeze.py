@@ -31,7 +31,6 @@ PLANS = FOLDER / "plans"
 SEEDS = (1, 2)  # of the training range
 TOLERANCE = 1e-9  # of the sampled numbers, relative to 1 and to the number
 SUITES = ("nominal", "all", "hard")
-PATIENT = {"background.time_limit": 60.0}  # no episode may depend on how busy the machine is
 UNPLANNED = {("crew", "hard")}  # no plan is found within minutes: random actions only
 PACKAGES = ("casadi", "clarabel", "daqp", "highspy", "llvmlite", "numba", "numpy", "pymunk", "scipy")
 
@@ -110,9 +109,7 @@ def play(case: Case) -> dict[str, Any]:
     if policy == "random":
         actor: Any = RandomPolicy(env)
     else:
-        plan, variant = get_plan(scenario, suite), None if policy == "expert" else policy
-        options = PATIENT if plan else {}
-        actor = make_expert(world, plan, variant, options)
+        actor = make_expert(world, get_plan(scenario, suite), None if policy == "expert" else policy)
     episode = rollout(env, actor, seed)
     return describe(episode, env.observations)
 

@@ -236,14 +236,17 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Background:
-    """New plans, made in a process beside the loop."""
+    """New plans, made in processes beside the loop."""
 
     delay: float = 2.0  # from asking for a plan to taking it over [s]
     most: CountOrNone = 2  # asked for in an episode
     apart: float = 8.0  # from the answer to the next question [s]
     least_left: float = 15.0  # of the horizon [s]
     calm: float = 1.0  # before the next impact, when a plan is taken over [s]
-    time_limit: Positive = 6.0  # of the solver, should it take far too long; an episode that needs it may differ [s]
+    work: Positive = 6500.0  # that a plan may take, see `budget.Work`; about 1 s of one core [simplex iterations]
+    nodes: Count = 300  # of branch and bound, in each of its mixed-integer programs
+    processes: CountOrNone = 0  # that plan at a time, at most; 0: one per core; makes no difference to an episode
+    patience: Positive = 300.0  # wall time without an answer after which a process is given up and another asked [s]
 
 
 @dataclass(frozen=True)

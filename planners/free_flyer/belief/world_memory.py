@@ -165,6 +165,8 @@ COUNTERS = (
     "stranded",
     "planned_anew",
     "no_plan",
+    "late_plan",
+    "lost_plan",
     "rejected",
     "taken_up",
     "no_action",

@@ -142,7 +142,7 @@ class CostProblem:
 
     def relax(self, nodes: int = 0) -> tuple[float, np.ndarray | None]:
         """Return a lower bound of the cost from the rows added so far, see `compute_lower_bound`."""
-        return compute_lower_bound(self.grid.model, self._find_time_left(), nodes, self.task.solver)
+        return compute_lower_bound(self.grid.model, self._find_time_left(), nodes, self.task.solver, self.task.work)
 
     def solve(self, weight: float, gap: float) -> CostOptimum:
         """Return the best of some rounds of outer approximation, each of which tightens the bound.
@@ -182,7 +182,8 @@ class CostProblem:
 
         def solve_once() -> np.ndarray:
             nonlocal relaxed
-            found = solve(self.grid.model, self._find_time_left(), gap / 2, self.task.solver)
+            task = self.task
+            found = solve(self.grid.model, self._find_time_left(), gap / 2, task.solver, work=task.work)
             self.bound, relaxed = max(self.bound, found.bound), found.x
             return solve_cones(self.grid.model, relaxed, self.costs)
 
@@ -202,7 +203,8 @@ class CostProblem:
         model.objective = sum((part.cost * w for part, w in zip(self.costs, weights, strict=True)), Affine({}))
 
         def solve_bent() -> np.ndarray:
-            return solve(model, self._find_time_left(), self.options.straightening_gap, self.task.solver).x
+            task, gap = self.task, self.options.straightening_gap
+            return solve(model, self._find_time_left(), gap, task.solver, work=task.work).x
 
         x = solve_apart(grid, self.task.scenario, self.task.reserves, solve_bent)
         model.objective = cost

@@ -10,12 +10,13 @@ import numpy as np
 
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners.budget import Budget
+from planners.budget import Budget, Work
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.clearance_rows import solve_apart
 from planners.free_flyer.nominal.diagnosis import find_relaxation
 from planners.free_flyer.nominal.event_sequence import Hitter, Word, compute_impacts, make_object_curve
 from planners.free_flyer.nominal.least_cost import CostOptimum, minimise_path_cost, read_events
+from planners.free_flyer.nominal.screening import screen_task
 from planners.free_flyer.nominal.sequence_search import restrict_to_object, search_words
 from planners.free_flyer.nominal.smoothing import smooth_motions
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
@@ -60,6 +61,7 @@ def make_free_flyer_plan(
     solver: str = "highs",
     reserves: Reserves = Reserves(),  # noqa: B008 - frozen
     options: PlanOptions = PlanOptions(),  # noqa: B008 - frozen
+    work: Work | None = None,
 ) -> Plan:
     """Plan by lexicographic optimisation: robustness, number of impacts, path cost; then smooth and check.
 
@@ -73,6 +75,7 @@ def make_free_flyer_plan(
         solver: of mixed-integer models, a key of `planners.solvers.SOLVERS`.
         reserves: speed, time and distance kept in hand for the execution.
         options: how far the plan is improved, and what of it is proven.
+        work: that is counted and limited, if any is.
 
     Returns:
         A plan that the independent simulation has confirmed.
@@ -81,6 +84,7 @@ def make_free_flyer_plan(
         InputError: bad numbers, or a scenario or formula of an unsupported form.
         Infeasible: no plan within max_impacts, or none that can be smoothed; says what to loosen, and by how much.
         SolverFailed: a solver stopped early, or the plan failed the check.
+        OutOfWork: the work allowed did not suffice.
 
     Source: Verhagen & Tumova, Sec. IV-B, on a grid of events.
     """
@@ -91,18 +95,18 @@ def make_free_flyer_plan(
     discs = {name: item.model_copy(update={"vertices": None}) for name, item in scenario.objects.items()}
     disc_scenario = scenario.model_copy(update={"objects": discs})
     if not scenario.has_polygons:
-        return _plan_task(scenario, max_impacts, Budget(time_limit), solver, reserves, options)
+        return _plan_task(scenario, max_impacts, Budget(time_limit), solver, reserves, options, work)
     if options.central is not None:
         # Half of the time each: what cannot be hit through its centre is found out late.
         time_limit = 0.5 * time_limit
         try:
             brief = replace(options, diagnosis=0.0)
-            plan = _plan_task(scenario, max_impacts, Budget(time_limit), solver, reserves, brief)
+            plan = _plan_task(scenario, max_impacts, Budget(time_limit), solver, reserves, brief, work)
             if plan.robustness >= options.central:
                 return replace(plan, shape_error=compute_shape_error(scenario, plan.impacts, plan.horizon))
         except PlanningError:
             pass
-    plan = _plan_task(disc_scenario, max_impacts, Budget(time_limit), solver, reserves, options)
+    plan = _plan_task(disc_scenario, max_impacts, Budget(time_limit), solver, reserves, options, work)
     return replace(plan, shape_error=compute_shape_error(scenario, plan.impacts, plan.horizon))
 
 
@@ -113,14 +117,20 @@ def _plan_task(
     solver: str,
     reserves: Reserves,
     options: PlanOptions,
+    work: Work | None,
 ) -> Plan:
     """Plan with the reserves, with half of them, then with a quarter."""
-    task = tightest = NominalTask(scenario, read_demands(scenario, reserves.wall), reserves, solver)
+    task = tightest = NominalTask(scenario, read_demands(scenario, reserves.wall), reserves, solver, work)
+    if options.expected is not None:
+        max_impacts = min(max_impacts, options.expected + 1)
     failure: PlanningError | None = None
     enough = options.enough
     for _ in range(options.halvings + 1):
         tried = replace(options, enough=enough)
         try:
+            if options.screen:
+                with budget.stage("screening"):
+                    screen_task(task, max_impacts, options)
             with budget.stage("robustness"):
                 search = maximise_robustness if len(scenario.objects) == 1 else maximise_jointly
                 optimum = search(task, max_impacts, budget, tried)
@@ -208,14 +218,14 @@ def _solve_size(
     """Return the greatest robustness, between two numbers, of plans of one size."""
     grid, choices = task.build(size, rho)
     grid.model.objective = -grid.rho
-    point = partial(_solve_point, grid.model, time_limit, options.robustness_gap, task.solver)
+    point = partial(_solve_point, task, grid.model, time_limit, options.robustness_gap)
     x = solve_apart(grid, task.scenario, task.reserves, point)
     events = read_events(task, grid, choices, x) if len(task.scenario.objects) == 1 else None
     return RobustnessOptimum(size, grid.rho.value(x), rho[1], events=events)
 
 
-def _solve_point(model: Model, time_limit: float, gap: float, solver: str) -> np.ndarray:
-    return solve(model, time_limit, gap, solver).x
+def _solve_point(task: NominalTask, model: Model, time_limit: float, gap: float) -> np.ndarray:
+    return solve(model, time_limit, gap, task.solver, work=task.work).x
 
 
 def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, options: PlanOptions) -> RobustnessOptimum:
@@ -310,7 +320,7 @@ def _finish(
         reserves = replace(reserves, thrust=options.thrust)
     with budget.stage("smoothing"):
         impacts = compute_impacts(scenario, sequence)
-        curves = smooth_motions(scenario, sequence, impacts, events.needs, rho, reserves, options.smoothing)
+        curves = smooth_motions(scenario, sequence, impacts, events.needs, rho, reserves, options.smoothing, task.work)
     plan = Plan(
         scenario=scenario.name,
         objective="robustness",

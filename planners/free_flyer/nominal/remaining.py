@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -12,6 +13,7 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
 from impact_envs.stl import Always, And, Formula, In, Trace, robustness_signal
 from impact_envs.stl.progression import progress_formula
+from planners.budget import Work
 from planners.free_flyer.nominal.event_grid import find_halt
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
 from planners.free_flyer.nominal.task import CostOptions, PlanOptions, Wish, WordSearchOptions
@@ -28,6 +30,7 @@ OPTIONS = PlanOptions(
     joint=0.85,
     thrust=0.9,
     thorough=False,
+    screen=True,
     central=None,  # nothing is said of how objects have turned
     cost=CostOptions(gap=0.1, rounds=1, weights=(3.0,), wishes=(Wish(True, True), Wish(False, False)), together=True),
     search=WordSearchOptions(evaluations=8, improve=False),
@@ -58,28 +61,28 @@ class Repair:
 def plan_rest(
     rest: FreeFlyerScenario,
     impacts: int | None = None,
-    time_limit: float = 2.0,
+    work: Work | None = None,
     reserves: Reserves = RESERVES,
-    solver: str = "highs",
 ) -> Plan:
-    """Plan the rest of a task, who hits what included; how long anything takes matters only at the time limit.
+    """Plan the rest of a task, who hits what included; by HiGHS, and whatever time it takes, so always the same plan.
 
     Args:
         rest: from `make_remaining_scenario`.
         impacts: number of impacts to try first, then one more, then fewer; default: count up from zero.
-        time_limit: wall time [s].
+        work: that is counted and limited; default: as much as it takes.
         reserves: what the plan keeps in hand.
-        solver: of mixed-integer models.
 
     Returns:
         A validated plan, in time since now.
 
     Raises:
         Infeasible: no plan.
-        SolverFailed: out of time, or the plan failed the check.
+        SolverFailed: a solver stopped early, or the plan failed the check.
+        OutOfWork: the work allowed did not suffice.
     """
     kept = replace(reserves, wall=_find_wall(rest, reserves))
-    return make_free_flyer_plan(rest, None, time_limit, solver, kept, replace(OPTIONS, expected=impacts))
+    options = replace(OPTIONS, expected=impacts)
+    return make_free_flyer_plan(rest, time_limit=math.inf, reserves=kept, options=options, work=work)
 
 
 def make_remaining_scenario(

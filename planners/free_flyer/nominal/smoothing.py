@@ -12,6 +12,7 @@ from scipy import sparse
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
 from planners.bezier import Curve
+from planners.budget import Work
 from planners.cones import solve_clarabel
 from planners.errors import Infeasible
 from planners.free_flyer.nominal.event_grid import find_halt
@@ -40,6 +41,7 @@ class _Problem:
     times: np.ndarray
     splines: dict[str, QuinticSpline]
     object_points: dict[str, np.ndarray]  # of every object on every segment, shape (S, 6, 2)
+    work: Work | None
 
 
 def smooth_motions(
@@ -50,6 +52,7 @@ def smooth_motions(
     rho: float,
     reserves: Reserves,
     options: SmoothingOptions,
+    work: Work | None = None,
 ) -> dict[str, Curve]:
     r"""Return the robots' curves: int |a|^2 + w |j|^2 dt is least.
 
@@ -65,14 +68,16 @@ def smooth_motions(
         rho: robustness to keep [m].
         reserves: clearances.
         options: weights and number of rounds.
+        work: counts the rows of every round, if any is counted.
 
     Returns:
         Robot name to its curve.
 
     Raises:
         Infeasible: some distance, area or limit cannot be kept.
+        OutOfWork: no more work is allowed.
     """
-    problem = _build_problem(scenario, sequence, impacts, tuple(needs), rho, reserves, options)
+    problem = _build_problem(scenario, sequence, impacts, tuple(needs), rho, reserves, options, work)
     points = {name: _interpolate_knots(problem, name) for name in scenario.robots}
     # Clearance is a reserve of which half may be spent here; the check of the plan knows what bodies really need.
     allowed = {"area": AREA_TOLERANCE, "clearance": 0.5 * reserves.clearance}
@@ -99,6 +104,7 @@ def _build_problem(
     rho: float,
     reserves: Reserves,
     options: SmoothingOptions,
+    work: Work | None,
 ) -> _Problem:
     windows = [t for need in needs if scenario.robots.keys() & need.bodies for t in (need.start, need.end)]
     times = _make_breakpoints(sequence.times, windows)
@@ -108,7 +114,7 @@ def _build_problem(
         name: make_object_curve(sequence, name).position(moments).reshape(-1, DEGREE + 1, 2)
         for name in scenario.objects
     }
-    return _Problem(scenario, sequence, impacts, needs, rho, reserves, options, times, splines, object_points)
+    return _Problem(scenario, sequence, impacts, needs, rho, reserves, options, times, splines, object_points, work)
 
 
 def _make_breakpoints(events: np.ndarray, windows: Sequence[float]) -> np.ndarray:
@@ -165,6 +171,8 @@ def _solve_round(
         _add_robot_clearance(rows, problem, first, second, points)
     _add_requirements(rows, problem, points)
     A, b = rows.stack()
+    if problem.work is not None:
+        problem.work.spend(len(b))
     P, q = rows.make_cost(problem.options.jerk_weight, COST_SCALE, price)
     x = solve_clarabel("smoothing", sparse.triu(P, format="csc"), q, A, b, [clarabel.NonnegativeConeT(len(b))])
     found = {name: rows.read_points(x, name) for name in splines}

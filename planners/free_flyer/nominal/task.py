@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners.budget import Work
 from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import Word
 from planners.free_flyer.reserves import Reserves
@@ -25,12 +26,14 @@ class NominalTask:
         demands: of its formula and of solid obstacles.
         reserves: what the plan keeps in hand.
         solver: of mixed-integer models.
+        work: that is counted and limited, if any is.
     """
 
     scenario: FreeFlyerScenario
     demands: Demands
     reserves: Reserves
     solver: str = "highs"
+    work: Work | None = None
 
     def build(
         self,
@@ -129,7 +132,9 @@ class PlanOptions:
         pieces: numbers of pieces per leg in the order in which they are tried; two let robots turn corners.
         joint: share of their robustness that several objects keep when their flights are straightened.
         thrust: share of the thrust that smooth motions may use; None: that of the reserves.
-        expected: number of impacts to try first, then one more, then fewer; None: count up from the fewest.
+        expected: number of impacts to try first, then one more, then fewer, and none with more; None: count up from the
+            fewest.
+        screen: whether it is told first, with each of the reserves, where there is no plan, see `screen_task`.
         halvings: how often the reserves are halved for a task that leaves no room for them.
         turns: factors of the time for starting and stopping, tried when motions prove too quick to be smoothed.
         words: number of sequences of impacts tried at each of these.
@@ -149,6 +154,7 @@ class PlanOptions:
     joint: float = 1.0
     thrust: float | None = None
     expected: int | None = None
+    screen: bool = False
     halvings: int = 2
     turns: tuple[float, ...] = (1.0, 1.5)
     words: int = 3

@@ -11,8 +11,6 @@ from planners.free_flyer.specification.requirement import Demands, Requirement
 from planners.mixed_integer import Model
 from planners.solvers import solve
 
-TIME_LIMIT = 10.0  # of a linear program of three variables [s]
-
 
 def compute_geometric_bound(scenario: FreeFlyerScenario, demands: Demands, solver: str = "highs") -> float:
     """Return a robustness that no plan of any kind can exceed.
@@ -112,4 +110,4 @@ def _compute_inradius(scenario: FreeFlyerScenario, need: Requirement, solver: st
         model.require(distance + rho)
     model.objective = -rho
     # An upper bound remains one when it is rounded up.
-    return float(np.round(-solve(model, TIME_LIMIT, solver=solver).objective + 5e-10, 9))
+    return float(np.round(-solve(model, np.inf, solver=solver).objective + 5e-10, 9))

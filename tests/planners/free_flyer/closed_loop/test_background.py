@@ -8,6 +8,7 @@ import json
 import os
 import pickle
 import queue
+import signal
 import subprocess
 import sys
 import threading
@@ -25,15 +26,18 @@ import pytest
 from impact_envs import InputError, parallel_env, rollout, vector_env
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners import make_plan
-from planners.errors import Infeasible
+from planners.budget import Work
+from planners.errors import Infeasible, OutOfWork
 from planners.free_flyer.belief.options import EXPERT, make_record
 from planners.free_flyer.belief.plan_table import NO_IMPACT, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, PAST_PERIOD, WorldMemory
-from planners.free_flyer.closed_loop import background
-from planners.free_flyer.closed_loop.background import Background, answer_requests
+from planners.free_flyer.closed_loop import background, planning_process
+from planners.free_flyer.closed_loop.background import Background
+from planners.free_flyer.closed_loop.planning_process import PlanningProcesses, answer_requests
 from planners.free_flyer.closed_loop.world_loop import adopt_world, start_world
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
+from planners.free_flyer.nominal.remaining import plan_rest
 from planners.plan import Plan
 from tests.planners.free_flyer.plans import load, set_fields
 
@@ -58,9 +62,14 @@ def answer(line: str) -> str:
     return answers.getvalue()
 
 
+def refuse_request(line: str) -> str:
+    return json.dumps({"number": json.loads(line)["number"], "plan": None, "failure": "no_plan"}) + "\n"
+
+
 class Inline:
     """Stands for the process: answers at once, each question only once per test session."""
 
+    pid = -1
     plan: Callable[[str], str] = staticmethod(answer)
 
     def __init__(self, *arguments: object, **options: object) -> None:
@@ -93,7 +102,7 @@ class Inline:
 
 
 def replace_worker(monkeypatch: pytest.MonkeyPatch, start: Callable[..., Any]) -> None:
-    monkeypatch.setattr(background, "subprocess", SimpleNamespace(Popen=start, PIPE=subprocess.PIPE))
+    monkeypatch.setattr(planning_process, "subprocess", SimpleNamespace(Popen=start, PIPE=subprocess.PIPE))
 
 
 @pytest.fixture
@@ -106,7 +115,7 @@ def hopeless(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no plan be found."""
 
     class Hopeless(Inline):
-        plan = staticmethod(lambda line: json.dumps({"number": json.loads(line)["number"], "plan": None}) + "\n")
+        plan = staticmethod(refuse_request)
 
     replace_worker(monkeypatch, Hopeless)
 
@@ -223,9 +232,7 @@ def test_asked_twice_at_most_with_time_between(answered: bool, monkeypatch: pyte
             super().write(line if answered else line.replace('"horizon"', '"horizont"'))
 
     if not answered:
-        Counted.plan = staticmethod(
-            lambda line: json.dumps({"number": json.loads(line)["number"], "plan": None}) + "\n"
-        )
+        Counted.plan = staticmethod(refuse_request)
     replace_worker(monkeypatch, Counted)
     run = Run(expert, load("pong"), tuple(np.arange(WANTED, 90.0, 0.1)))
     assert len(asked) == BACKGROUND.most
@@ -308,23 +315,23 @@ def test_single_and_batch_agree(name: str, threads: int) -> None:
 
 def kill_at(expert: FreeFlyerExpert, time: float) -> Spoil:
     def kill(k: int, observations: dict[str, np.ndarray]) -> None:
-        worker = expert._background._worker
-        if abs(expert.memory.time[0] - time) < 1e-6 and worker is not None:
-            worker.kill()
-            worker.wait()
+        if abs(expert.memory.time[0] - time) < 1e-6:
+            for pid in expert._background._processes.pids:
+                os.kill(pid, signal.SIGKILL)
 
     return kill
 
 
-def test_dead_process_is_no_plan_and_the_next_question_finds_another_one() -> None:
-    expert = make_expert("pong")
-    run = Run(expert, load("pong"), (WANTED, 32.5), kill_at(expert, WANTED + 0.1))
-    assert run.counts["no_plan"] == 1
-    assert run.counts["planned_anew"] == 1
-    (taken,) = run.taken
-    assert taken >= 32.5 + BACKGROUND.delay - 1e-6
-    assert run.success
-    expert._background.close()
+def test_a_killed_process_changes_nothing_for_another_is_asked() -> None:
+    world = load("throw_and_catch")
+    runs = []
+    for killed_at in (-1.0, WANTED + 0.1):
+        expert = make_expert("throw_and_catch")
+        runs.append(Run(expert, world, (WANTED,), kill_at(expert, killed_at)))
+        expert._background.close()
+    assert runs[0].counts["planned_anew"] == 1
+    assert (runs[1].taken, runs[1].counts) == (runs[0].taken, runs[0].counts)
+    np.testing.assert_array_equal(runs[1].actions, runs[0].actions)
 
 
 @pytest.mark.usefixtures("hopeless")
@@ -342,26 +349,25 @@ def speak(monkeypatch: pytest.MonkeyPatch, code: str) -> None:
 
 
 def test_process_that_died_between_two_questions_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
-    speak(monkeypatch, "import sys; sys.stdin.read()")
-    asking, pids = Background(load("throw_and_catch")), set()
-    for _ in range(2):
-        asking._reach_worker()
-        asking._reach_worker()
-        assert asking._worker is not None
-        pids.add(asking._worker.pid)
-        asking._worker.kill()
-        asking._worker.wait()
+    speak(monkeypatch, "import sys\nfor line in sys.stdin: print(line, end='', flush=True)")
+    processes, pids = PlanningProcesses(1, patience=60.0), set()
+    for number in (1, 2):
+        processes.ask(number, json.dumps({"number": number}) + "\n")
+        assert processes.wait_for(number) == {"number": number}
+        (pid,) = processes.pids
+        pids.add(pid)
+        os.kill(pid, signal.SIGKILL)
     assert len(pids) == 2
-    asking.close()
+    processes.close()
 
 
 @pytest.mark.parametrize("code", ["", "import sys; sys.stdin.readline()"])
-def test_process_that_ends_without_an_answer_is_no_plan(
+def test_process_that_ends_without_an_answer_loses_the_plan(
     expert: FreeFlyerExpert, monkeypatch: pytest.MonkeyPatch, code: str
 ) -> None:
     speak(monkeypatch, code)
     run = Run(expert, load("throw_and_catch"))
-    assert (run.taken, run.counts["no_plan"]) == ([], 1)
+    assert (run.taken, run.counts["lost_plan"], run.counts["no_plan"]) == ([], 1, 0)
     assert run.success
 
 
@@ -371,7 +377,7 @@ def test_process_that_dies_within_its_answer_is_no_plan(
 ) -> None:
     speak(monkeypatch, f"import sys; sys.stdin.readline(); sys.stdout.write({words!r})")
     run = Run(expert, load("throw_and_catch"))
-    assert (run.taken, run.counts["no_plan"]) == ([], 1)
+    assert (run.taken, run.counts["lost_plan"], run.counts["no_plan"]) == ([], 1, 0)
     assert run.success
 
 
@@ -389,7 +395,8 @@ def test_many_worlds_may_ask_before_the_first_answer_is_read(
         monkeypatch,
         "import json, sys\n"
         "for line in sys.stdin:\n"
-        "    print(json.dumps({'number': json.loads(line)['number'], 'plan': None, 'more': 6000 * ' '}), flush=True)",
+        "    refusal = {'plan': None, 'failure': 'no_plan', 'more': 6000 * ' '}\n"
+        "    print(json.dumps({'number': json.loads(line)['number'], **refusal}), flush=True)",
     )
     Run(expert, load("throw_and_catch"), (), steps=round(WANTED / 0.1) + 1)
     memory, asking = repeat(expert.memory, count), Background(load("throw_and_catch"))
@@ -405,9 +412,9 @@ def test_many_worlds_may_ask_before_the_first_answer_is_read(
     thread.start()
     thread.join(4.0)
     stuck = thread.is_alive()
-    if stuck and asking._worker is not None:
+    if stuck:
         over.set()
-        asking._worker.kill()
+        asking.close()
         thread.join(10.0)
     assert not stuck
     memory.time[:] += BACKGROUND.delay
@@ -464,22 +471,21 @@ def test_close_leaves_no_process(expert: FreeFlyerExpert) -> None:
     Run(lost, world, steps=round(WANTED / 0.1) + 5)
     joint, _ = vector_env(world, num_envs=1, threads=1).reset(seed=SEED)
     batch.act(joint)
-    batch._background._reach_worker()
-    workers = [owner._background._worker for owner in (expert, batch, lost)]
-    pids = [worker.pid for worker in workers if worker is not None]
+    batch._background._processes.ask(1, request(1))
+    pids = [pid for owner in (expert, batch, lost) for pid in owner._background._processes.pids]
     assert [exists(pid) for pid in pids] == [True] * 3
     expert._background.close()
     batch.close()
-    del lost, workers
+    del lost
     gc.collect()
     assert [exists(pid) for pid in pids] == [False] * 3
     expert._background.close()
     batch.close()
 
 
-def request(number: int, **values: object) -> str:
+def request(number: int, work: float = BACKGROUND.work, **values: object) -> str:
     scenario = load("throw_and_catch").override(values)
-    asked = {"number": number, "scenario": scenario.model_dump(mode="json"), "impacts": 2, "time_limit": 6.0}
+    asked = {"number": number, "scenario": scenario.model_dump(mode="json"), "impacts": 2, "work": work, "nodes": 300}
     return json.dumps(asked) + "\n"
 
 
@@ -489,7 +495,8 @@ def test_requests_are_answered_line_by_line() -> None:
     answer_requests(StringIO(request(3) + request(5, **away)), answers)
     found = [json.loads(line) for line in answers.getvalue().splitlines()]
     assert [line["number"] for line in found] == [3, 5]
-    assert found[1]["plan"] is None
+    assert (found[1]["plan"], found[1]["failure"]) == (None, "no_plan")
+    assert found[0]["failure"] is None
     plan = Plan.from_json(found[0]["plan"])
     assert plan.validated
     assert plan.horizon == 30.0
@@ -503,15 +510,63 @@ def test_no_requests_no_answers() -> None:
 
 
 def test_requests_without_an_answer_are_null(monkeypatch: pytest.MonkeyPatch) -> None:
-    for error in (Infeasible("plan", "no", "none"), InputError("no")):
+    failures = {"no_plan": (Infeasible("plan", "no", "none"), InputError("no")), "late_plan": (OutOfWork(),)}
+    for failure, error in [(failure, error) for failure, errors in failures.items() for error in errors]:
 
         def fail(*arguments: object, error: Exception = error) -> None:
             raise error
 
-        monkeypatch.setattr(background, "plan_rest", fail)
+        monkeypatch.setattr(planning_process, "plan_rest", fail)
         answers = StringIO()
         answer_requests(StringIO(request(7)), answers)
-        assert json.loads(answers.getvalue()) == {"number": 7, "plan": None}
+        assert json.loads(answers.getvalue()) == {"number": 7, "plan": None, "failure": failure}
+
+
+def test_a_plan_that_takes_too_much_work_is_late_whatever_the_time() -> None:
+    """Half of the work that the plan needs is not enough, one unit more than it needs is."""
+    spent = Work()
+    plan_rest(FreeFlyerScenario.model_validate(json.loads(request(1))["scenario"]), 2, spent)
+    answers = StringIO()
+    answer_requests(StringIO(request(1, spent.done / 2) + request(2, spent.done + 1.0)), answers)
+    late, found = (json.loads(line) for line in answers.getvalue().splitlines())
+    assert (late["plan"], late["failure"]) == (None, "late_plan")
+    assert (found["plan"] is None, found["failure"]) == (False, None)
+
+
+def test_a_late_plan_is_counted_and_the_old_one_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    replace_worker(monkeypatch, Inline)
+    hasty = replace(EXPERT, background=replace(BACKGROUND, work=1.0))
+    expert = FreeFlyerExpert(load("throw_and_catch"), plan_of("throw_and_catch"), options=hasty)
+    run = Run(expert, load("throw_and_catch"))
+    assert (run.taken, run.counts["late_plan"], run.counts["no_plan"]) == ([], 1, 0)
+    assert run.success
+
+
+def test_many_processes_give_the_answers_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slow one among them, too; questions that are given up are thrown away."""
+    slow = "if json.loads(line)['number'] % 3 == 0: time.sleep(0.3)"
+    reply = "print(json.dumps({'number': json.loads(line)['number'], 'plan': line, 'failure': None}), flush=True)"
+    speak(monkeypatch, f"import json, sys, time\nfor line in sys.stdin:\n    {slow}\n    {reply}")
+    asked = {number: json.dumps({"number": number, "square": number * number}) + "\n" for number in range(1, 10)}
+    for most in (1, 3):
+        processes = PlanningProcesses(most, patience=60.0)
+        for number, question in asked.items():
+            processes.ask(number, question)
+        assert len(processes.pids) == most
+        processes.forget(4)
+        for number in (9, 1, 5, 2, 8, 3, 7, 6):
+            assert processes.wait_for(number)["plan"] == asked[number]
+        pids = processes.pids
+        processes.close()
+        assert not any(exists(pid) for pid in pids)
+
+
+def test_a_silent_process_is_given_up_and_its_question_lost_after_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    speak(monkeypatch, "import sys; sys.stdin.read()")
+    processes = PlanningProcesses(1, patience=0.05)
+    processes.ask(1, "{}\n")
+    assert processes.wait_for(1) == {"number": 1, "plan": None, "failure": "lost_plan"}
+    assert processes.pids == []
 
 
 class Forced:
@@ -637,6 +692,11 @@ def test_script_that_begins_later_is_the_same_one_later() -> None:
     assert NO_IMPACT not in late.first
 
 
+def find_process(expert: FreeFlyerExpert) -> Any:
+    (worker,) = expert._background._processes._workers
+    return worker.process
+
+
 def flatten(observations: dict[str, np.ndarray]) -> list[bytes]:
     return [values.tobytes() for values in observations.values()]
 
@@ -653,7 +713,7 @@ def test_a_copy_asks_for_what_is_pending(expert: FreeFlyerExpert, make: Callable
         if k == round(WANTED / 0.1) + 5:
             assert expert._background._pending
             before = make((expert, env, observations))
-            asked = len(cast(Any, expert._background._worker).asked)
+            asked = len(find_process(expert).asked)
         observations = env.step(expert.act(observations))[0]
         seen.append(flatten(observations))
     copied, env, observations = before
@@ -661,7 +721,7 @@ def test_a_copy_asks_for_what_is_pending(expert: FreeFlyerExpert, make: Callable
         observations = env.step(copied.act(observations))[0]
         assert flatten(observations) == seen[k]
     assert copied.memory.counts["planned_anew"][0] == memory.counts["planned_anew"][0] == 1
-    assert cast(Any, copied._background._worker).asked == cast(Any, expert._background._worker).asked[asked - 1 :]
+    assert find_process(copied).asked == find_process(expert).asked[asked - 1 :]
     copied._background.close()
 
 
@@ -680,16 +740,11 @@ def test_a_program_ends_with_its_own_code(end: str, busy: bool) -> None:
     """Whatever its planning process does when it ends, and however it ends."""
     code = f"""
 import sys
-from planners.free_flyer.closed_loop.background import Background, Request
-from impact_envs import load_scenario
-scenario = load_scenario("throw_and_catch")
+from planners.free_flyer.closed_loop.planning_process import PlanningProcesses
 expert = type("Expert", (), dict())()
-expert.background = Background(scenario)
-expert.background._reach_worker()
-if {busy}:
-    expert.background._worker.stdin.write({request(1)!r})
-    expert.background._worker.stdin.flush()
-print(expert.background._worker.pid, flush=True)
+expert.processes = PlanningProcesses(1, 60.0)
+expert.processes.ask(1, {request(1)!r} if {busy} else "\\n")
+print(*expert.processes.pids, flush=True)
 {ENDS[end]}
 """
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
@@ -701,16 +756,13 @@ print(expert.background._worker.pid, flush=True)
 def test_the_process_does_not_outlive_a_killed_owner() -> None:
     """While it plans, too."""
     slow = json.loads(request(1))
-    slow |= {"time_limit": 60.0, "scenario": load("crew").model_dump(mode="json"), "impacts": 8}
+    slow |= {"work": 1e9, "scenario": load("crew").model_dump(mode="json"), "impacts": 8}
     code = f"""
 import os, signal
-from planners.free_flyer.closed_loop.background import Background
-from impact_envs import load_scenario
-asking = Background(load_scenario("throw_and_catch"))
-asking._reach_worker()
-asking._worker.stdin.write({json.dumps(slow) + chr(10)!r})
-asking._worker.stdin.flush()
-print(asking._worker.pid, flush=True)
+from planners.free_flyer.closed_loop.planning_process import PlanningProcesses
+processes = PlanningProcesses(1, 60.0)
+processes.ask(1, {json.dumps(slow) + chr(10)!r})
+print(*processes.pids, flush=True)
 input()
 """
     owner = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)

@@ -136,14 +136,14 @@ def test_the_rest_is_planned_from_near_the_plan_after_its_first_impact(name: str
     now = round(plan.impacts[0].time + 0.2, 9)
     arguments = scenario, now, *_state(plan, now, rng), _track(scenario, plan, now)
     rest = make_remaining_scenario(*arguments)
-    found = plan_rest(rest, len(plan.impacts) - 1, time_limit=60.0)
+    found = plan_rest(rest, len(plan.impacts) - 1)
     assert found.validated
     assert found.horizon == rest.horizon == pytest.approx(scenario.horizon - now)
     assert set(found.robots) == set(scenario.robots)
     assert validate_plan(rest, found) == found.robustness > 0.05
     for body in scenario.robots:
         np.testing.assert_allclose(found.robots[body].velocity(0.0), rest.robots[body].start_velocity, atol=1e-9)
-    again = plan_rest(rest, len(plan.impacts) - 1, time_limit=30.0)
+    again = plan_rest(rest, len(plan.impacts) - 1)
     assert again.impacts == found.impacts
     assert again.robots == found.robots
 
@@ -153,7 +153,7 @@ def test_the_expert_executes_the_rest() -> None:
     now = round(plan.impacts[0].time + 0.2, 9)
     arguments = scenario, now, *_state(plan, now, rng), _track(scenario, plan, now)
     rest = make_remaining_scenario(*arguments)
-    found = plan_rest(rest, 3, time_limit=60.0)
+    found = plan_rest(rest, 3)
     episode = rollout(parallel_env(rest), make_expert(rest, found), 0)
     assert len(episode.impacts) == len(found.impacts) == 3
     assert episode.robustness == pytest.approx(found.robustness, abs=0.03)
