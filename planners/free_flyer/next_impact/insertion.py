@@ -67,6 +67,7 @@ def insert_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int
             if not over:
                 set_time(plan, memory, k, o, index, now + lead + duration)
                 strike.time = now + lead
+            strike.due = strike.time
             memory.counts[k].inserted += 1
             set_clocks(plan, memory, options, k, now)
             return
@@ -151,6 +152,9 @@ def choose_robot(
         cosine = ((x - a.position[0]) * nx + (y - a.position[1]) * ny) / max(distance, ROUND_OFF)
         inside = compute_room(plan, memory, k, o, r, time, wish[0], wish[1]) >= options.insertion.wall
         speed = change / compute_pair_gain(memory, k, r, o)
+        limit = plan.body[r].speed_limit
+        if max(abs(vx + speed * nx), abs(vy + speed * ny)) > limit:
+            continue  # its two-body problem has no solution
         reachable = is_reachable(plan, memory, options, k, r, px, py, vx + speed * nx, vy + speed * ny, time - now)
         if inside and reachable and cosine > best:
             best, found = cosine, r
