@@ -57,6 +57,10 @@ class Reserves:
     push_speed: float = 0.02
     tracking: float = 1e-3
 
+    def quickened(self) -> Reserves:
+        """Return a copy with half the margin of speed, for tasks whose deadline is tight."""
+        return replace(self, speed=0.5 * (1.0 + self.speed))
+
     def halved(self) -> Reserves:
         """Return a copy with half the margins, for tight tasks."""
         return replace(

@@ -163,7 +163,8 @@ class Replanning:
 class Retiming:
     """When the coming impact is moved to."""
 
-    frozen: float = 4.0  # before an impact its time is kept [s]
+    frozen: float = 4.0  # before an impact its time is kept [s],
+    last: float = 2.0  # where the object would not yet be what its knot demands, only so long: then it is put off [s]
     candidates: Count = 121  # times that are tried,
     refined: CountOrNone = 20  # then so many on either side of the best
     crowding: float = 0.1  # the object should be hit so deep inside what its knot demands [m]
@@ -188,6 +189,8 @@ class Insertion:
     hastes: tuple[Positive, ...] = (1.0, 0.7, 0.5)  # shares of the next flight's duration; a short one turns it less
     least_leg: float = 3.0  # after an inserted impact [s]
     rest: float = 5.0  # of its robot before the next one [s]
+    delay: float = 3.0  # by which a robot that lost its course may put it off, else it is withdrawn [s]
+    least_share: Share = 0.5  # of the wished change of velocity, below which it is withdrawn
     least_change: float = 4e-3  # of the object's velocity that is worth an impact [m/s]
     side: Cosine = 0.6  # cosine between the way from robot to object and the change of velocity, at least
     edge: float = 0.2  # an impact is inserted, too, if its robot would come so near to areas it may not leave [m]

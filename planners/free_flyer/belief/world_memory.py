@@ -75,6 +75,7 @@ STRIKE = np.dtype(
         ("index", int),  # of the impact in the plan, or NO_IMPACT
         ("robot", int),  # that hits, or NO_ROBOT
         ("time", float),  # when it is expected, inf if none is left [s]
+        ("due", float),  # when it was expected before its robot postponed it [s]
         ("is_inserted", bool),  # it is not in the plan; the planned one, index, comes later
         ("insertions", int),  # impacts on this object that the plan does not have
         ("misses", int),  # how often it was tried in vain
@@ -88,6 +89,7 @@ STRIKE = np.dtype(
         ("outcome", int),  # a two_body.Outcome
         ("change", float),  # of the object's velocity, its size [m/s]
         ("lever", float),  # of the hit, see `offset.compute_lever`
+        ("share", float),  # of the wished change that this is
         ("normal", float, 2),  # unit vector from robot to object
         ("contact", float, 2),  # centre of the robot [m]
         ("robot_minus", float, 2),  # velocity of the robot just before and after [m/s]
@@ -172,6 +174,7 @@ COUNTERS = (
     "no_action",
     "detours",
     "responded",
+    "withdrawn",
 )
 COUNTS = np.dtype([(name, np.int64) for name in COUNTERS])
 # Assigning one of these clears a record.

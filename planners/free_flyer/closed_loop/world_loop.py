@@ -39,7 +39,7 @@ from planners.free_flyer.next_impact.reoptimisation import reoptimise_rest
 from planners.free_flyer.next_impact.replanner import replan_course
 from planners.free_flyer.next_impact.response import forget_responses, respond
 from planners.free_flyer.next_impact.rest_qp import RestQP
-from planners.free_flyer.next_impact.retiming import retime_impact
+from planners.free_flyer.next_impact.retiming import may_move, retime_impact
 from planners.free_flyer.tracking.mpc import Workspace
 
 # What to do with the worlds.
@@ -167,6 +167,7 @@ def replan_robot(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
             o = NO_OBJECT
         elif should_replan(plan, memory, options, k, r, o, now):
             replan_course(plan, memory, options, k, r, o, now)
+            o = find_strike(memory, k, r)  # the impact may be withdrawn
     return o
 
 
@@ -216,7 +217,7 @@ def look_ahead(plan: PlanTable, memory: WorldMemory, options: Options, qp: RestQ
             and options.retime
             and strike.last_contact > 0.0
             and strike.index != NO_IMPACT
-            and now <= strike.time - options.retiming.frozen
+            and may_move(plan, memory, options, k, o, now)
         ):
             retime_impact(plan, memory, options, k, o, now)
         if options.insert and strike.last_contact > 0.0 and not answered:

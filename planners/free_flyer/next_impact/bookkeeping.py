@@ -75,7 +75,7 @@ def await_impact(
     strike = memory.strike[k, o]
     strike.index, strike.is_inserted, strike.misses, strike.replanned_at = index, False, 0, -math.inf
     strike.scale, strike.turn, strike.is_decided, strike.is_solved = 0.0, 0.0, False, False
-    strike.robot, strike.time, strike.astray_since = NO_ROBOT, math.inf, math.inf
+    strike.robot, strike.time, strike.due, strike.astray_since = NO_ROBOT, math.inf, math.inf, math.inf
     if index != NO_IMPACT:
         strike.robot, strike.reference_normal = plan.impact[index].robot, plan.impact[index].normal
         timing = options.timing
@@ -89,13 +89,25 @@ def set_time(plan: PlanTable, memory: WorldMemory, k: int, o: int, index: int, t
     """Expect a planned impact at a time; later ones of the object share the time that is left."""
     old = memory.clock[k, index]
     share = (plan.horizon - time) / max(plan.horizon - old, ROUND_OFF)
-    memory.strike[k, o].time = memory.clock[k, index] = time
+    memory.strike[k, o].time = memory.strike[k, o].due = memory.clock[k, index] = time
     at = plan.impact[index].next
     while at != NO_IMPACT and time != old:
         moved = time + (memory.clock[k, at] - old) * share
         earliest, latest = plan.knot[at].opens, max(plan.knot[at].closes, time)
         memory.clock[k, at] = min(max(moved, earliest), latest)
         at = plan.impact[at].next
+
+
+@compiled
+def withdraw_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, now: float) -> None:
+    """Give up the inserted impact on object o: its robot returns to the plan, and the object can get another one."""
+    strike = memory.strike[k, o]
+    r = strike.robot
+    tau = min(read_clock(memory.course[k, r], now), memory.course[k, r].stop)
+    await_impact(plan, memory, options, k, o, strike.index, now)
+    return_robot(plan, memory, options, k, r, now, tau)
+    set_clocks(plan, memory, options, k, now)
+    memory.counts[k].withdrawn += 1
 
 
 @compiled
@@ -156,7 +168,8 @@ def take_contact(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     strike, hit = memory.strike[k, o], memory.hit[k, o]
     strike.last_contact, index = now, strike.index
     settle_hit(memory, options, k, o)
-    expected = strike.robot == r and now >= strike.time - options.timing.earliest
+    # A robot that postponed its impact may still hit at the time that was meant.
+    expected = strike.robot == r and now >= min(strike.time, strike.due) - options.timing.earliest
     if not expected:
         memory.counts[k].unplanned_contact += 1
         return_robot(plan, memory, options, k, r, now, tau)

@@ -69,6 +69,7 @@ def insert_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int
             if not over:
                 set_time(plan, memory, k, o, index, now + lead + duration)
                 strike.time = now + lead
+            strike.due = strike.time
             memory.counts[k].inserted += 1
             set_clocks(plan, memory, options, k, now)
             return
@@ -156,6 +157,9 @@ def choose_robot(
         if options.walls:
             inside = inside and is_way_clear(plan, r, a.position[0], a.position[1], px, py)
         speed = change / compute_pair_gain(memory, k, r, o)
+        limit = plan.body[r].speed_limit
+        if max(abs(vx + speed * nx), abs(vy + speed * ny)) > limit:
+            continue  # its two-body problem has no solution
         reachable = is_reachable(plan, memory, options, k, r, px, py, vx + speed * nx, vy + speed * ny, time - now)
         if inside and reachable and cosine > best:
             best, found = cosine, r

@@ -83,7 +83,7 @@ def reoptimise_rest(
         return False
     for i in range(stages):
         memory.clock[k, rest.chain[i]] = rest.centre[i] + rest.scale[i] * point[i]
-    memory.strike[k, o].time = memory.clock[k, rest.chain[0]]
+    memory.strike[k, o].time = memory.strike[k, o].due = memory.clock[k, rest.chain[0]]
     # Do not overwrite the first place: it is where the object is going, not where we want it.
     for i in range(1, stages + 1):
         knot, v = rest.chain[i], stages + 2 * (i - 1)

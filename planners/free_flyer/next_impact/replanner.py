@@ -12,16 +12,17 @@ from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.surroundings import measure_gap
 from planners.free_flyer.belief.world_memory import WorldMemory
-from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time
+from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time, withdraw_impact
 from planners.free_flyer.next_impact.desired_velocity import (
     ROUND_OFF,
     choose_desired_velocity,
+    compute_margin,
     hasten_next_knot,
     is_answered,
 )
 from planners.free_flyer.next_impact.detour import go_round
 from planners.free_flyer.next_impact.reachability import is_reachable
-from planners.free_flyer.next_impact.two_body import solve_soft_two_body_impact, solve_two_body_impact
+from planners.free_flyer.next_impact.two_body import NO_CHANGE, solve_soft_two_body_impact, solve_two_body_impact
 from planners.free_flyer.tracking.course import (
     evaluate_course,
     evaluate_curve,
@@ -103,6 +104,8 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     strike.object_minus[0], strike.object_minus[1] = solution.object_minus
     strike.object_plus[0], strike.object_plus[1] = solution.object_plus
     strike.change = math.hypot(solution.object_plus[0] - vx, solution.object_plus[1] - vy)
+    wished = math.hypot(dx, dy)
+    strike.share = strike.change / wished if wished > NO_CHANGE else 1.0
 
 
 @compiled
@@ -118,9 +121,15 @@ def find_law(plan: PlanTable, memory: WorldMemory, k: int, r: int, o: int) -> tu
 
 @compiled
 def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> None:
-    """Plan the course of robot r to its impact on object o; a robot that lost its course may postpone the impact."""
+    """Plan the course of robot r to its impact on object o; a robot that lost its course may postpone the impact.
+
+    An inserted impact that gives too little, or that would have to wait too long, is withdrawn.
+    """
     strike = memory.strike[k, o]
     solve_strike(plan, memory, options, k, r, o, now)
+    if strike.is_inserted and strike.share < options.insertion.least_share:
+        withdraw_impact(plan, memory, options, k, o, now)
+        return
     if options.walls and options.retime and not is_place_clear(plan, memory, k, r, o, strike.time):
         advance_impact(plan, memory, options, k, r, o, now)
     curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
@@ -129,8 +138,9 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     if math.hypot(begin[0] - z.position[0], begin[1] - z.position[1]) > options.replanning.off_course:
         memory.counts[k].lost += 1
         begin = (z.position[0], z.position[1], z.velocity[0], z.velocity[1], begin[4], begin[5])
-        if options.retime:
-            postpone_impact(plan, memory, options, k, r, o, now)
+        if options.retime and not postpone_impact(plan, memory, options, k, r, o, now):
+            withdraw_impact(plan, memory, options, k, o, now)
+            return
     strike.replanned_at = now
     memory.counts[k].replans += 1
     index = strike.index
@@ -167,21 +177,49 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
 
 
 @compiled
-def postpone_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> None:
-    """Postpone the impact of robot r on object o until the robot can be there, by at most 10 s."""
+def postpone_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> bool:
+    """Postpone the impact of robot r on object o until the robot can be there, as far as that makes sense.
+
+    Returns:
+        Whether it stands: an inserted one that its robot cannot come to does not.
+    """
     strike = memory.strike[k, o]
     for _ in range(options.replanning.postponements):
         x, y, vx, vy = strike.contact[0], strike.contact[1], strike.robot_minus[0], strike.robot_minus[1]
-        later = strike.time + 1.0
-        if later >= plan.horizon or is_reachable(plan, memory, options, k, r, x, y, vx, vy, strike.time - now):
-            return
+        later, due = strike.time + 1.0, strike.due
+        if is_reachable(plan, memory, options, k, r, x, y, vx, vy, strike.time - now):
+            return True
+        if not may_wait(plan, memory, options, k, o, later):
+            break
         if options.walls and not is_place_clear(plan, memory, k, r, o, later):
-            return
+            break
         if strike.is_inserted:
             strike.time = later
         else:
             set_time(plan, memory, k, o, strike.index, later)
+            strike.due = due
         solve_strike(plan, memory, options, k, r, o, now)
+    return not strike.is_inserted
+
+
+@compiled
+def may_wait(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, later: float) -> bool:
+    """Return whether the coming impact of object o may be as late as that.
+
+    An inserted one soon is another one. In a planned one the object has to be where its knot demands it, if it would be
+    there at present.
+    """
+    strike = memory.strike[k, o]
+    index = strike.index
+    if later >= plan.horizon:
+        return False
+    if strike.is_inserted:
+        soon = later <= strike.due + options.insertion.delay + ROUND_OFF
+        return soon and (index == NO_IMPACT or later + options.insertion.least_leg <= memory.clock[k, index])
+    x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, strike.time)
+    margin = compute_margin(plan, index, x, y)
+    x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, later)
+    return later <= plan.knot[index].closes and compute_margin(plan, index, x, y) >= min(margin, 0.0)
 
 
 @compiled

@@ -34,6 +34,17 @@ def compute_reserve(plan: PlanTable, memory: WorldMemory, options: Options, k: i
 
 
 @compiled
+def may_move(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, now: float) -> bool:
+    """Return whether the coming impact of object o may still be moved; in the last seconds only what came too early."""
+    strike = memory.strike[k, o]
+    if now <= strike.time - options.retiming.frozen:
+        return True
+    x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, strike.time)
+    early = compute_margin(plan, strike.index, x, y) < options.insertion.safe
+    return now <= strike.time - options.retiming.last and early
+
+
+@compiled
 def retime_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, now: float) -> None:
     """Move the coming impact of object o to when the object is nearest to where it should be hit.
 

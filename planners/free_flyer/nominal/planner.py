@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -65,7 +66,8 @@ def make_free_flyer_plan(
 ) -> Plan:
     """Plan by lexicographic optimisation: robustness, number of impacts, path cost; then smooth and check.
 
-    A task that leaves no room for the reserves is planned with half of them, then with a quarter.
+    A task that leaves no room for the reserves is planned with half of them, then with a quarter; one whose margin of
+    speed costs much of the robustness, with half of that margin.
 
     Args:
         scenario: any numbers of robots and objects; only believed physics are read. A polygon takes as much room as
@@ -134,6 +136,12 @@ def _plan_task(
             with budget.stage("robustness"):
                 search = maximise_robustness if len(scenario.objects) == 1 else maximise_jointly
                 optimum = search(task, max_impacts, budget, tried)
+                quick = quicken_legs(task, optimum, search, budget, tried)
+            if quick is not None:
+                try:
+                    return _plan_events(*quick, budget, tried)
+                except PlanningError:
+                    pass  # the plan with all reserves is left
             return _plan_events(task, optimum, budget, tried)
         except PlanningError as error:
             failure = failure or error
@@ -143,6 +151,27 @@ def _plan_task(
         enough = enough if options.thorough else 0.5 * enough
     assert failure is not None
     raise _explain(failure, tightest, max_impacts, budget, options)
+
+
+def quicken_legs(
+    task: NominalTask,
+    optimum: RobustnessOptimum,
+    search: Callable[..., RobustnessOptimum],
+    budget: Budget,
+    options: PlanOptions,
+) -> tuple[NominalTask, RobustnessOptimum] | None:
+    """Return the task with less margin of speed and its optimum, if that margin costs much of the robustness.
+
+    No more impacts are tried than the optimum has.
+    """
+    if not options.thorough or optimum.rho >= options.deep * optimum.bound:
+        return None
+    quick = replace(task, reserves=task.reserves.quickened())
+    try:
+        found = search(quick, optimum.size.impacts, Budget(budget.left / 2), options)
+    except PlanningError:
+        return None
+    return (quick, found) if found.rho >= options.deeper * optimum.rho else None
 
 
 def _explain(

@@ -128,6 +128,9 @@ class PlanOptions:
         least: robustness below which a task counts as having no plan [m].
         enough: share of the bound of the robustness above which no other number of impacts is tried; half of it once
             a plan has failed, if not thorough.
+        deep: share of the bound of the robustness below which half the margin of speed is tried, too: a plan that is
+            hardly inside its areas fails by small errors of direction, one with fast legs can still wait a little.
+        deeper: factor by which the robustness has to grow for that.
         robustness_gap: to which the greatest robustness is proven, relative.
         pieces: numbers of pieces per leg in the order in which they are tried; two let robots turn corners.
         joint: share of their robustness that several objects keep when their flights are straightened.
@@ -149,6 +152,8 @@ class PlanOptions:
 
     least: float = 1e-3
     enough: float = 1.0
+    deep: float = 0.6
+    deeper: float = 1.5
     robustness_gap: float = 1e-6
     pieces: tuple[int, ...] = (1, 2)
     joint: float = 1.0

@@ -126,8 +126,9 @@ def _bind(formula: Formula, start: float, end: float, knots: list[Knot], owned: 
             _bind(operands[best], start, end, knots, owned)
         case Always((lower, upper), child):
             _bind(child, start + lower, end + upper, knots, owned)
-        case Eventually((lower, upper), child) if end - start <= ROUND_OFF:
-            _bind_best(child, start + lower, end + upper, knots, owned)
+        case Eventually((lower, upper), child) if end + lower <= start + upper + ROUND_OFF:
+            # Once in what all windows have in common is enough for all of them.
+            _bind_best(child, end + lower, start + upper, knots, owned)
         case Predicate() if formula in owned:
             _bind_throughout(owned[formula], start, end, knots)
 

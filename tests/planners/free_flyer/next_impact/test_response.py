@@ -236,6 +236,10 @@ def test_responses_that_do_not_fit_are_one_line(change: dict[str, object], messa
 
 
 def test_times_in_order_and_two_gains_are_needed() -> None:
-    for arguments in ((5.0, 4.0, 1.0, 2.0, [0.0, 0.0]), (0.0, 4.0, 1.0, 2.0, [0.0]), (0.0, 4.0, 1.0, 2.0, [math.nan, 0])):
+    for arguments in (
+        (5.0, 4.0, 1.0, 2.0, [0.0, 0.0]),
+        (0.0, 4.0, 1.0, 2.0, [0.0]),
+        (0.0, 4.0, 1.0, 2.0, [math.nan, 0]),
+    ):
         with pytest.raises(InputError):
             PlannedResponse(*arguments)  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ import pytest
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain
 from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options, make_record
 from planners.free_flyer.belief.plan_table import NO_IMPACT
-from planners.free_flyer.next_impact.reachability import is_reachable
+from planners.free_flyer.next_impact.reachability import compute_leg_speed, is_reachable
 from planners.free_flyer.next_impact.retiming import compute_reserve
 from planners.free_flyer.tracking.course import COURSE, evaluate_course, fit_quintic
 from tests.planners.free_flyer.plans import K, World, load_open, make_straight_plan, set_fields
@@ -113,10 +113,35 @@ def test_variants_without_retiming_keep_the_planned_times(variant: str) -> None:
 def test_time_is_left_for_all_later_impacts() -> None:
     loop = Loop()
     last = HORIZON * (1 - EXPERT.retiming.reserve_share)
-    assert compute_reserve(loop.table, loop.memory, OPTIONS, K, 2) == last
-    assert compute_reserve(loop.table, loop.memory, OPTIONS, K, 1) == pytest.approx(last - 1.5 / EXPERT.aim.cruise)
+    assert compute_reserve(loop.table, loop.memory, OPTIONS, K, 0, 2) == last
+    assert compute_reserve(loop.table, loop.memory, OPTIONS, K, 0, 1) == pytest.approx(last - 1.5 / EXPERT.aim.cruise)
     slow = fly(Loop(options=VARIANTS["with_retiming"]), 0.01)
     assert slow.strike["time"] <= last - 1.5 / EXPERT.aim.cruise + 1e-9
+
+
+def test_legs_of_a_hasty_plan_may_be_flown_as_fast_as_it_flies_them() -> None:
+    """From 3 to -7 m in 25 s the plan needs 0.4 m/s: the impact before may be 3.6 s late, not 42 s early."""
+    hasty = ((HIT, "snap", 1.0), (65.0, "crackle", 3.0), (90.0, "snap", -7.0))
+    loop = Loop(impacts=hasty, options=VARIANTS["with_retiming"])
+    planned = 10.0 / 25.0
+    speed = compute_leg_speed(loop.table, OPTIONS, 0, 1, EXPERT.aim.cruise)
+    assert speed == pytest.approx(EXPERT.aim.hurry * planned)
+    last = HORIZON * (1 - EXPERT.retiming.reserve_share)
+    assert compute_reserve(loop.table, loop.memory, OPTIONS, K, 0, 1) == pytest.approx(last - 10.0 / speed)
+    loop.table.body["speed_limit"][POP] = planned
+    assert compute_leg_speed(loop.table, OPTIONS, 0, 1, EXPERT.aim.cruise) == EXPERT.aim.fastest * planned
+    assert compute_leg_speed(loop.table, OPTIONS, 0, 2, EXPERT.aim.cruise) == EXPERT.aim.cruise  # it stays then
+
+
+def test_impact_before_its_region_is_put_off_in_the_last_seconds() -> None:
+    """At 65 mm/s the object is at 2.3 m at 30 s; F[28,33] x >= 2.4 wants it to be hit at 31.5 s or later."""
+    region = "F[28,34] (pop.x >= 2.4 & pop.x <= 4) & F[55,70] pop.x <= 2"
+    for before, moved in ((EXPERT.retiming.last, True), (EXPERT.retiming.last - 0.1, False)):
+        loop = fly(Loop(region, options=VARIANTS["with_retiming"]), 0.065, now=30.0 - before)
+        assert (loop.strike["time"] > 31.5) == moved
+        assert loop.strike["time"] <= 34.0
+    inside = fly(Loop(region, options=VARIANTS["with_retiming"]), 0.08, now=30.0 - EXPERT.retiming.last)
+    assert inside.strike["time"] == 30.0
 
 
 @pytest.mark.parametrize("seed", range(4))

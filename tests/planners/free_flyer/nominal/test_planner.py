@@ -1,3 +1,4 @@
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -7,8 +8,13 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import load_scenario
 from planners import make_plan
+from planners.budget import Budget
 from planners.errors import Infeasible, SolverFailed
-from planners.free_flyer.nominal.planner import make_free_flyer_plan
+from planners.free_flyer.nominal.planner import RobustnessOptimum, make_free_flyer_plan, quicken_legs
+from planners.free_flyer.nominal.task import NominalTask, PlanOptions
+from planners.free_flyer.reserves import Reserves
+from planners.free_flyer.specification.grid import GridSize
+from planners.free_flyer.specification.requirement import read_demands
 from planners.plan import Plan
 from tests.frozen.freeze import get_plan
 
@@ -179,6 +185,47 @@ def test_a_task_with_little_time_takes_from_the_reserves() -> None:
     plan = make_plan(_scenario("throw_and_catch").shorten(0.6))
     assert plan.robustness == pytest.approx(0.25, abs=1e-6)
     assert plan.horizon == 18.0
+
+
+@pytest.mark.parametrize(
+    ("rho", "quick", "thorough", "taken"),
+    [(0.14, 0.5, True, True), (0.14, 0.2, True, False), (0.31, 0.5, True, False), (0.14, 0.5, False, False)],
+)
+def test_margin_of_speed_is_halved_where_it_costs_most_of_the_depth(
+    rho: float, quick: float, thorough: bool, taken: bool
+) -> None:
+    """Of a bound of 0.5 m: from 0.14 to 0.5 m it is worth it, to 0.2 m or from 0.31 m not, nor in a hurry."""
+    scenario = _scenario("relay")
+    task = NominalTask(scenario, read_demands(scenario, Reserves().wall), Reserves())
+
+    def search(tried: NominalTask, most: int, budget: Budget, options: PlanOptions) -> RobustnessOptimum:
+        assert most == 3
+        return RobustnessOptimum(GridSize(3, 1), quick, 0.5)
+
+    optimum = RobustnessOptimum(GridSize(3, 1), rho, 0.5)
+    found = quicken_legs(task, optimum, search, Budget(10.0), PlanOptions(thorough=thorough))
+    assert (found is not None) == taken
+    if found is not None:
+        assert found[0].reserves == replace(Reserves(), speed=0.5 * (1.0 + Reserves().speed))
+        assert found[1].rho == quick
+
+
+def test_legs_stay_slow_where_no_plan_has_fast_ones() -> None:
+    scenario = _scenario("relay")
+    task = NominalTask(scenario, read_demands(scenario, Reserves().wall), Reserves())
+
+    def search(*_: object) -> RobustnessOptimum:
+        raise Infeasible("plan of relay", "infeasible", "")
+
+    optimum = RobustnessOptimum(GridSize(3, 1), 0.14, 0.5)
+    assert quicken_legs(task, optimum, search, Budget(10.0), PlanOptions()) is None
+
+
+@pytest.mark.slow
+def test_relay_with_little_time_is_as_deep_as_with_much() -> None:
+    plan = make_plan(_scenario("relay").suite("short"), time_limit=300.0)
+    assert plan.robustness == pytest.approx(0.5, abs=1e-6)
+    assert len(plan.impacts) == 3
 
 
 def test_no_impact_where_none_is_needed() -> None:

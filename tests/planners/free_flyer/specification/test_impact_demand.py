@@ -245,3 +245,15 @@ def test_script_keeps_robots_off_the_walls_of_the_world() -> None:
     for faces in table.own:
         rows = [(*face["normal"], face["offset"]) for face in faces]
         assert {tuple(float(value) for value in np.round(row, 12) + 0.0) for row in rows} == walls
+
+
+def test_one_visit_serves_every_window_that_it_is_in() -> None:
+    """G[0,40] F[0,60] wants a visit in each of [t, t + 60]: one between 40 and 60 s is in all of them."""
+    scenario = load("pong", "G[0,40] F[0,60] pop in C")
+    places = [(8, 1.25, -0.75), (55, 1.25, 0.25), (85, 2.5, 0.75), (100, 2.5, 0.75)]
+    throw, visit, *rest = knots_of(scenario, places)
+    assert faces(visit) == C
+    assert visit.window == (40.0, 60.0)
+    assert [faces(knot) for knot in (throw, *rest)] == [set(), set(), set()]
+    # No visit is in all windows of G[0,80] F[0,60].
+    assert not any(faces(knot) for knot in knots_of(load("pong", "G[0,40] F[0,20] pop in C"), places))
