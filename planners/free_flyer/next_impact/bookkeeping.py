@@ -129,7 +129,7 @@ def return_robot(
         options.timing.fastest_clock,
     )
     if options.walls:
-        go_round(plan, memory, options, k, r, now, time)
+        go_round(plan, memory, options, k, r, NO_OBJECT, now, time)
     memory.counts[k].replans += 1
 
 
