@@ -12,7 +12,7 @@ from planners.free_flyer.belief.surroundings import measure_gap
 from planners.free_flyer.belief.world_memory import NO_OBJECT
 from planners.free_flyer.next_impact.bookkeeping import return_robot
 from planners.free_flyer.next_impact.detour import find_corner, go_round, move_clear
-from planners.free_flyer.next_impact.replanner import replan_course
+from planners.free_flyer.next_impact.replanner import replan_course, turn_off_walls
 from planners.free_flyer.tracking.course import evaluate_course, plan_approach
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT
 from tests.planners.free_flyer.plans import K, World, load, make_plan, plan_impact, set_fields
@@ -76,6 +76,34 @@ def test_run_up_stays_inside_the_world() -> None:
     crew.go_round()
     assert crew.gaps(crew.read(25.0)).min() > -1e-3
     assert crew.read(25.0)[-1, :4] == pytest.approx((1.1, 8.0, 0.25, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("side", [0.05, -0.05])
+def test_course_passes_by_what_it_is_to_hit_from_the_other_side(side: float) -> None:
+    """Snap comes from the left and is to hit pop, at rest, from the right: the quintic leads through pop."""
+    crew = Crew((2.5, 2.0))
+    crew.see(POP, (2.5, 2.0))
+    strike = crew.memory.strike[K, 0]
+    strike["time"], strike["contact"] = 40.0, (2.9, 2.0)
+    through = crew.approach((1.2, 2.0 + side), (2.9, 2.0), (-0.1, 0.0), 40.0)
+    assert np.hypot(*(through[:, :2] - (2.5, 2.0)).T).min() < 0.3
+    go_round(crew.table, crew.memory, OPTIONS, K, SNAP, 0, 0.0, 120.0)
+    motions = crew.read(40.0)
+    assert np.hypot(*(motions[:, :2] - (2.5, 2.0)).T).min() > 0.4 - EXPERT.surroundings.through - 1e-3
+    assert motions[-1, :4] == pytest.approx((2.9, 2.0, -0.1, 0.0), abs=1e-9)
+
+
+def test_impulse_is_turned_until_its_robot_is_in_no_wall() -> None:
+    """Pop is 0.58 m off the wall, and straight behind it is no room for snap; 0.3 rad aside there is."""
+    crew, change = Crew(), np.array([0.1, 0.0])
+    turned = np.array(turn_off_walls(crew.table, OPTIONS, SNAP, POP, 0.585, 5.0, *change))
+    angle = np.arctan2(*turned[::-1])
+    assert abs(angle) == pytest.approx(0.3)
+    assert np.hypot(*turned) == pytest.approx(0.1 * np.cos(0.3))
+    assert measure_gap(crew.table, SNAP, 0.585 - 0.4 * np.cos(angle), 5.0) >= 0.0
+    for x in (0.61, 0.45, 0.1):  # room enough; too near; in the wall itself
+        assert turn_off_walls(crew.table, OPTIONS, SNAP, POP, x, 5.0, *change) == tuple(change)
+    assert turn_off_walls(crew.table, OPTIONS, SNAP, POP, 0.5, 5.0, 0.0, 0.0) == (0.0, 0.0)
 
 
 def test_clear_course_stays_bit_for_bit() -> None:
