@@ -230,11 +230,16 @@ class Surroundings:
     late: float = 0.2  # after the expected impact, until which it is trusted to come before the wall does [s]
     near: float = 0.02  # a course that comes nearer, and nearer than its ends are, is replaced by a detour [m]
     margin: float = 0.08  # of the via points of detours [m]
+    through: float = (
+        0.02  # overlap of a course with the object that it is to hit, before that, from which it passes by [m]
+    )
     samples: Count = 24  # of a course that are looked at, at most
     intrusion: float = 10.0  # cost of a course that is too near all the time, and of twice the thrust that there is
     waits: tuple[Share, ...] = (0.3, 0.6)  # shares of a course after which its robot may first set out
     stretch: Count = 3  # times the duration of a way back to the plan that a detour may take
     earlier: Positive = 0.5  # steps in which an impact is moved to before its place is in a wall [s]
+    turn: Positive = 0.1  # steps in which an impulse is turned until its robot is in no wall [rad],
+    turns: CountOrNone = 5  # and how many
 
 
 @dataclass(frozen=True)

@@ -89,8 +89,8 @@ def limit_speed(
 ) -> tuple[float, float, float]:
     """Return how fast robot r may close in on fixed body i [m/s], and the unit vector to it.
 
-    It stops at a clearance. On course to an impact it may come as near as the place of contact is, and need not be able
-    to brake where the impact comes first: it does not reach the wall before that.
+    It stops at a clearance. On course to an impact it may come as near as the place of contact is, and as fast as that
+    impact needs if it does not reach the wall before the impact.
     """
     z, h = memory.filter[k, r], plan.period
     distance, nx, ny = measure_distance(plan, i, z.position[0], z.position[1])
@@ -104,7 +104,8 @@ def limit_speed(
     fastest = compute_fastest(brake, gap - clearance, h)
     late = strike.time + options.surroundings.late - memory.time[k]
     if left >= 0.0 and late > 0.0:
-        fastest = max(fastest, gap / max(late, h))
+        needed = strike.robot_minus[0] * nx + strike.robot_minus[1] * ny
+        fastest = max(fastest, min(gap / max(late, h), needed))
     return fastest, nx, ny
 
 

@@ -21,6 +21,7 @@ from planners.free_flyer.belief.world_memory import (
     NO_OBJECT,
     NO_ROBOT,
     WorldMemory,
+    find_curves,
     find_next_event,
 )
 from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF
@@ -129,7 +130,7 @@ def return_robot(
     time, planned, _ = find_next_event(plan, memory, k, r)
     z = memory.filter[k, r]
     begin = (z.position[0], z.position[1], z.velocity[0], z.velocity[1])
-    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
+    curves = find_curves(plan, memory, k)
     return_to_plan(
         memory.course[k, r],
         plan.breaks,
@@ -144,7 +145,7 @@ def return_robot(
         options.timing.fastest_clock,
     )
     if options.walls:
-        go_round(plan, memory, options, k, r, now, time)
+        go_round(plan, memory, options, k, r, NO_OBJECT, now, time)
     memory.counts[k].replans += 1
 
 

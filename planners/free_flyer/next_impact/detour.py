@@ -8,68 +8,97 @@ the course moved clear, its start, and the place where the run-up to its end beg
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, inlined
+from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.surroundings import WALLS, measure_distance, measure_gap
-from planners.free_flyer.belief.world_memory import WorldMemory
+from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory, find_curves
 from planners.free_flyer.tracking.course import Motion, evaluate_course, evaluate_quintic, fit_detour, fit_quintic
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT
 
 SHORTEST = 1.0  # course that has room for a via point [s]
+TINY = 1e-9  # round-off of lengths and times [m], [s]
 ENDS = 0.15  # share of a course at either end that is no time for a via point
 
 
+class Way(NamedTuple):
+    """What a course has to keep off.
+
+    Attributes:
+        r: robot.
+        o: object that it hits at the end, or NO_OBJECT.
+        now: when it begins [s].
+        least: gap to walls and solid obstacles, where its ends are no nearer [m].
+        reach: distance from the centre of the object at which it is hit, 0 without one [m].
+    """
+
+    r: int
+    o: int
+    now: float
+    least: float
+    reach: float
+
+
 @compiled
-def go_round(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, now: float, latest: float) -> None:
+def go_round(
+    plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float, latest: float
+) -> None:
     """Replace robot r's course, which begins now, by a detour if it comes too near to a wall or solid obstacle.
 
-    Of all candidates, the course itself among them, the one of least cost is taken: see `weigh_course`. A course back
-    to the plan may take up to `stretch` times as long.
+    Nor may it lead through the object that it is to hit. Of all candidates, the course itself among them, the one of
+    least cost is taken: see `weigh_course`. A course back to the plan may take up to `stretch` times as long.
 
     Args:
+        o: object that the robot is on course to hit, or NO_OBJECT.
         latest: until when a course back to the plan may last [s].
     """
     course, surroundings = memory.course[k, r], options.surroundings
-    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
+    curves = find_curves(plan, memory, k)
     T = course.until - now
     if T < SHORTEST:
         return
     here = evaluate_course(course, plan.breaks, curves, r, now)
     there = evaluate_course(course, plan.breaks, curves, r, course.until)
     least = min(measure_gap(plan, r, here[0], here[1]), measure_gap(plan, r, there[0], there[1]))
-    least = min(least, surroundings.near)
-    if is_clear(plan, curves, options, course, r, now, least):
+    reach = 0.0
+    if o != NO_OBJECT:
+        strike = memory.strike[k, o]
+        x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, strike.time)
+        reach = math.hypot(strike.contact[0] - x, strike.contact[1] - y)
+    way = Way(r, o, now, min(least, surroundings.near), reach)
+    if is_clear(plan, memory, options, k, way):
         return
     begin, end = evaluate_quintic(course, now), evaluate_quintic(course, course.until)
     most = options.reach.ease * plan.pilot[r, GAIN] * plan.pilot[r, INPUT_LIMIT]
     best, chosen, via_x, via_y, time = math.inf, course.until, 0.0, 0.0, now
-    worst, worst_x, worst_y = now, 0.0, 0.0
+    worst, found = now, here
     for stretch in range(1 if course.ends_in_impact else surroundings.stretch):
         until = now + (stretch + 1) * T
         if stretch > 0 and until > latest:
             break
         fit_course(course, begin, end, now, until)
         there = evaluate_course(course, plan.breaks, curves, r, until)
-        cost, nearest = weigh_course(plan, curves, options, course, r, now, least, most)
+        cost, nearest = weigh_course(plan, memory, options, k, way, most)
         if cost < best:
             best, chosen, time = cost, until, now
         if stretch == 0:
-            motion = evaluate_course(course, plan.breaks, curves, r, nearest)
-            worst, worst_x, worst_y = nearest, motion[0], motion[1]
-        for i in range(3 + len(surroundings.waits) + plan.solid.shape[0] * plan.solid.shape[1]):
-            if i == 0:
-                x, y, at = worst_x, worst_y, now + (stretch + 1) * (worst - now)
+            worst, found = nearest, evaluate_course(course, plan.breaks, curves, r, nearest)
+        for i in range(5 + len(surroundings.waits) + plan.solid.shape[0] * plan.solid.shape[1]):
+            if i < 3:
+                x, y = pass_by(plan, memory, options, k, way, i, worst, found)
+                at = now + (stretch + 1) * (worst - now)
             else:
-                x, y, at = choose_via(plan, options, r, i - 1, now, until, here, there, most)
+                x, y, at = choose_via(plan, options, r, i - 3, now, until, here, there, most)
             x, y = move_clear(plan, r, x, y, surroundings.margin)
             at = min(max(at, now + ENDS * (until - now)), until - ENDS * (until - now))
             course.until = until
             fit_via(plan, curves, course, r, begin, end, now, at, x, y)
-            cost, _ = weigh_course(plan, curves, options, course, r, now, least, most)
+            cost, _ = weigh_course(plan, memory, options, k, way, most)
             if cost < best:
                 best, chosen, via_x, via_y, time = cost, until, x, y, at
     if time > now:
@@ -78,6 +107,25 @@ def go_round(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: 
         memory.counts[k].detours += 1
     else:
         fit_course(course, begin, end, now, chosen)
+
+
+@inlined
+def pass_by(
+    plan: PlanTable, memory: WorldMemory, options: Options, k: int, way: Way, side: int, time: float, found: Motion
+) -> tuple[float, float]:
+    """Return the worst place of a course, or the places to the left and right of the object that is hit then.
+
+    Args:
+        side: 0: the place, 1, 2: left, right of the object.
+        time: when the course is worst [s].
+        found: motion there.
+    """
+    if side == 0 or way.o == NO_OBJECT:
+        return found[0], found[1]
+    x, y, vx, vy = extrapolate_flight(memory, k, plan.robots + way.o, time)
+    wx, wy = found[2] - vx, found[3] - vy
+    scale = (3.0 - 2.0 * side) * (way.reach + options.surroundings.margin) / max(math.hypot(wx, wy), 1e-9)
+    return x - scale * wy, y + scale * wx
 
 
 @compiled
@@ -169,50 +217,55 @@ def move_clear(plan: PlanTable, r: int, x: float, y: float, margin: float) -> tu
 
 
 @compiled
-def is_clear(
-    plan: PlanTable, curves: np.ndarray, options: Options, course: np.record, r: int, now: float, least: float
-) -> bool:
-    """Return whether robot r's course keeps a gap to walls and obstacles; where there is room, look less often."""
-    step, t = (course.until - now) / options.surroundings.samples, now
+def measure_intrusion(
+    plan: PlanTable, memory: WorldMemory, options: Options, k: int, way: Way, motion: Motion, t: float
+) -> float:
+    """Return by how much a place is too near to a wall, a solid obstacle or what is hit later, negative: room [m]."""
+    intrusion = way.least - measure_gap(plan, way.r, motion[0], motion[1])
+    if way.o != NO_OBJECT:
+        x, y, _, _ = extrapolate_flight(memory, k, plan.robots + way.o, t)
+        apart = math.hypot(motion[0] - x, motion[1] - y)
+        intrusion = max(intrusion, way.reach - options.surroundings.through - apart)
+    return intrusion
+
+
+@compiled
+def is_clear(plan: PlanTable, memory: WorldMemory, options: Options, k: int, way: Way) -> bool:
+    """Return whether a course is too near to nothing; where there is room, look less often."""
+    curves = find_curves(plan, memory, k)
+    course = memory.course[k, way.r]
+    step, t = (course.until - way.now) / options.surroundings.samples, way.now + TINY
     while t < course.until:
-        motion = evaluate_course(course, plan.breaks, curves, r, t)
-        gap = measure_gap(plan, r, motion[0], motion[1])
-        if gap < least - 1e-9:
+        motion = evaluate_course(course, plan.breaks, curves, way.r, t)
+        intrusion = measure_intrusion(plan, memory, options, k, way, motion, t)
+        if intrusion > TINY:
             return False
-        t += max(step, gap / (2.0 * max(math.hypot(motion[2], motion[3]), plan.body[r].speed_limit)))
+        t += max(step, -intrusion / (2.0 * max(math.hypot(motion[2], motion[3]), plan.body[way.r].speed_limit)))
     return True
 
 
 @compiled
 def weigh_course(
-    plan: PlanTable,
-    curves: np.ndarray,
-    options: Options,
-    course: np.record,
-    r: int,
-    now: float,
-    least: float,
-    most: float,
+    plan: PlanTable, memory: WorldMemory, options: Options, k: int, way: Way, most: float
 ) -> tuple[float, float]:
-    """Return the cost of robot r's course, and when it is nearest to a wall or solid obstacle.
+    """Return the cost of a course, and when it is nearest to what it should keep off.
 
-    intrusion (share of the time with less than the least gap + max(0, a / a_most - 1)) + a / a_most
+    intrusion (share of the time too near + max(0, a / a_most - 1)) + a / a_most
 
     Args:
-        curves: of the robots' plans, as flown.
-        least: gap that is asked for [m].
         most: acceleration that is asked for [m/s^2].
     """
-    count = options.surroundings.samples
-    inside, peak, nearest, worst = 0, 0.0, math.inf, now
+    curves = find_curves(plan, memory, k)
+    course, count = memory.course[k, way.r], options.surroundings.samples
+    inside, peak, deepest, worst = 0, 0.0, -math.inf, way.now
     for i in range(1, count):
-        t = now + i * (course.until - now) / count
-        motion = evaluate_course(course, plan.breaks, curves, r, t)
-        gap = measure_gap(plan, r, motion[0], motion[1])
-        if gap < least - 1e-9:
+        t = way.now + i * (course.until - way.now) / count
+        motion = evaluate_course(course, plan.breaks, curves, way.r, t)
+        intrusion = measure_intrusion(plan, memory, options, k, way, motion, t)
+        if intrusion > TINY:
             inside += 1
-        if gap < nearest:
-            nearest, worst = gap, t
+        if intrusion > deepest:
+            deepest, worst = intrusion, t
         peak = max(peak, math.hypot(motion[4], motion[5]) / most)
-    intrusion = options.surroundings.intrusion
-    return intrusion * (inside / count + max(peak - 1.0, 0.0)) + peak, worst
+    dear = options.surroundings.intrusion
+    return dear * (inside / count + max(peak - 1.0, 0.0)) + peak, worst

@@ -11,7 +11,7 @@ from planners.free_flyer.belief.offset import compute_lever, extrapolate_swing
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.surroundings import measure_gap
-from planners.free_flyer.belief.world_memory import WorldMemory
+from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory, find_curves
 from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time, withdraw_impact
 from planners.free_flyer.next_impact.desired_velocity import (
     ROUND_OFF,
@@ -20,7 +20,7 @@ from planners.free_flyer.next_impact.desired_velocity import (
     hasten_next_knot,
     is_answered,
 )
-from planners.free_flyer.next_impact.detour import go_round
+from planners.free_flyer.next_impact.detour import go_round, move_clear
 from planners.free_flyer.next_impact.reachability import is_reachable
 from planners.free_flyer.next_impact.two_body import NO_CHANGE, solve_soft_two_body_impact, solve_two_body_impact
 from planners.free_flyer.tracking.course import (
@@ -46,6 +46,8 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     cos, sin, dx, dy = math.cos(angle), math.sin(angle), wish[0] - vx, wish[1] - vy
     dx, dy = scale * (cos * dx - sin * dy), scale * (sin * dx + cos * dy)
     dx, dy, distance = turn_to_centre(plan, memory, options, k, o, time - now, dx, dy)
+    if options.walls and distance == plan.body[body].radius:
+        dx, dy = turn_off_walls(plan, options, r, body, x, y, dx, dy)
     z, match_x, match_y = memory.filter[k, body], vx, vy
     strike.lever = 0.0
     if z.P_dd > 0.0:
@@ -78,7 +80,7 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     else:
         robot_wish = (vx, vy)
         if strike.index != NO_IMPACT and not strike.is_inserted:
-            curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
+            curves = find_curves(plan, memory, k)
             planned = evaluate_curve(plan.breaks, curves, r, plan.impact[strike.index].time, True)
             robot_wish = (planned[2], planned[3])
         solution = solve_soft_two_body_impact(
@@ -132,7 +134,7 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         return
     if options.walls and options.retime and not is_place_clear(plan, memory, k, r, o, strike.time):
         advance_impact(plan, memory, options, k, r, o, now)
-    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
+    curves = find_curves(plan, memory, k)
     begin = evaluate_course(memory.course[k, r], plan.breaks, curves, r, now)
     z = memory.filter[k, r]
     if math.hypot(begin[0] - z.position[0], begin[1] - z.position[1]) > options.replanning.off_course:
@@ -146,6 +148,7 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     index = strike.index
     planned = -1.0 if strike.is_inserted else plan.impact[index].time
     vx, vy = strike.robot_minus[0], strike.robot_minus[1]
+    px, py = strike.contact[0], strike.contact[1]
     if not options.exact:
         course, contact = memory.course[k, r], (strike.contact[0], strike.contact[1])
         tau = min(read_clock(course, now), course.stop)
@@ -153,6 +156,10 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         limit, miss = plan.body[r].speed_limit, options.published.miss_weight
         plan_least_acceleration(course, now, begin, (base[0], base[1]), contact, (vx, vy), strike.time, limit, miss)
         return
+    if options.walls and measure_gap(plan, r, px, py) < 0.0:
+        # From inside a wall nothing can be hit: wait beside it.
+        px, py = move_clear(plan, r, px, py, options.surroundings.margin)
+        vx, vy, o = 0.0, 0.0, NO_OBJECT
     # The slower robot and object meet, the more a small error of position shifts the time: then come at constant speed.
     slow = max(math.hypot(vx - strike.object_minus[0], vy - strike.object_minus[1]), ROUND_OFF)
     steady = min(
@@ -167,13 +174,13 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         r,
         now,
         begin,
-        (strike.contact[0] - steady * vx, strike.contact[1] - steady * vy),
+        (px - steady * vx, py - steady * vy),
         (vx, vy),
         strike.time - steady,
         planned,
     )
     if options.walls:
-        go_round(plan, memory, options, k, r, now, strike.time)
+        go_round(plan, memory, options, k, r, o, now, strike.time)
 
 
 @compiled
@@ -296,3 +303,31 @@ def turn_to_centre(
         memory.counts[k].off_centre += 1
     along = max(best, 0.0) * size
     return along * nx, along * ny, distance
+
+
+@compiled
+def turn_off_walls(
+    plan: PlanTable, options: Options, r: int, body: int, x: float, y: float, dx: float, dy: float
+) -> tuple[float, float]:
+    """Return the part of a change of velocity that a disc at (x, y) can be given by a robot that is in no wall [m/s].
+
+    It is turned as little as that takes; where that is too far, or the disc is in a wall itself, it stays as it is.
+
+    Args:
+        body: that is hit.
+        dx, dy: wished change [m/s].
+    """
+    size, reach = math.hypot(dx, dy), plan.body[r].radius + plan.body[body].radius
+    if size < NO_CHANGE:
+        return dx, dy
+    ux, uy = reach * dx / size, reach * dy / size
+    if measure_gap(plan, r, x - ux, y - uy) >= 0.0 or measure_gap(plan, body, x, y) < 0.0:
+        return dx, dy
+    for i in range(options.surroundings.turns):
+        cos = math.cos((i + 1) * options.surroundings.turn)
+        for side in range(2):
+            sin = (1.0 - 2.0 * side) * math.sin((i + 1) * options.surroundings.turn)
+            wx, wy = cos * ux - sin * uy, sin * ux + cos * uy
+            if measure_gap(plan, r, x - wx, y - wy) >= 0.0:
+                return cos * size / reach * wx, cos * size / reach * wy
+    return dx, dy

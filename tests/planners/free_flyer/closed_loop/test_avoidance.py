@@ -119,11 +119,12 @@ def test_place_of_contact_near_a_wall_can_be_reached() -> None:
     memory.time[0] = 10.0
     target, wish, strike = table.robots, (-0.01, 0.0), memory.strike[0, 0]
 
-    def avoid(contact: float, time: float) -> float:
-        strike["contact"], strike["time"] = (contact, 5.0), time
+    def avoid(contact: float, time: float, speed: float = 0.26) -> float:
+        strike["contact"], strike["time"], strike["robot_minus"] = (contact, 5.0), time, (-speed, 0.0)
         return float(avoid_bodies(table, memory, OPTIONS, 0, 0, target, *wish)[0])
 
     assert avoid(0.21, 10.3) == -0.01
+    assert avoid(0.21, 10.3, 0.1) > 0.05  # faster than the impact needs
     assert avoid(0.21, 12.0) > 0.05  # the wall comes first
     assert avoid(0.1, 10.3) > 0.05  # in the wall: there is no such impact
     assert avoid_bodies(table, memory, OPTIONS, 0, 0, NO_TARGET, *wish)[0] > 0.05
