@@ -46,7 +46,9 @@ RESTITUTION, RESTITUTION_SPEED, FRICTION, CONTACT_COLUMNS = range(4)
 # Columns of Physics.body: mass [kg], inertia [kg m^2], centre of mass in the body frame from the geometric centre [m],
 # constant acceleration [m/s^2], start from where the scenario says [m]; greatest deviation of its velocity after an
 # impact per axis [m/s], 1 where only corners of that box occur, and the generator from which the next one is drawn.
-MASS, INERTIA, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y, START_X, START_Y, DEVIATION, CORNERS, DICE, BODY_COLUMNS = range(12)
+MASS, INERTIA, OFFSET_X, OFFSET_Y, DRIFT_X, DRIFT_Y, START_X, START_Y, DEVIATION, CORNERS, DICE, BODY_COLUMNS = range(
+    12
+)
 DICE_MODULUS = 2147483647.0  # a state of that generator is a whole number from 1 to before this
 # Columns of Physics.thruster: true over commanded force, positive and negative per channel Fx, Fy, torque.
 GAIN, THRUSTER_COLUMNS = 0, 6

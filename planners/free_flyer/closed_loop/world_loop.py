@@ -166,9 +166,7 @@ def replan_robot(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
 
 
 @compiled
-def should_replan(
-    plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float
-) -> bool:
+def should_replan(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> bool:
     """Return whether the course of robot r to its impact on object o has to be replanned now."""
     strike = memory.strike[k, o]
     time = strike.time
