@@ -3,8 +3,8 @@
     OMP_NUM_THREADS=1 python benchmarks/responses.py --worlds 1000 --out responses.json
 
 Every impact of a robot changes the object's velocity by up to the plan's deviation more than the impact law says
-(`true.impact_deviation`), in half of the worlds anything up to it, in the others a corner of the box. The same worlds are
-flown with the plan's responses, with the same plan without them, by the paper's expert, and with the plan of most
+(`true.impact_deviation`), in half of the worlds anything up to it, in the others a corner of the box. The same worlds
+are flown with the plan's responses, with the same plan without them, by the paper's expert, and with the plan of most
 robustness. A violation is an episode whose formula does not hold; left: the object was once outside its tube.
 """
 

@@ -182,8 +182,8 @@ class Plan:
         tubes: object to the boxes it stays in under such deviations.
         responses: robot to its curves for the vertices of the boxes: (x-, y-), (x-, y+), (x+, y-), (x+, y+).
         shape_error: by how much the flown robustness may be lower, because objects are no discs; 0: all are discs [m].
-        planned_responses: to each impact, in their order, when these curves hold; empty: nothing says so, as in plans of
-            version 1, and nobody follows them.
+        planned_responses: to each impact, in their order, when these curves hold; empty: nothing says so, as in
+            plans of version 1, and nobody follows them.
 
     Raises:
         InputError: the curves do not span [0, T], or an impact names an unknown body or time.

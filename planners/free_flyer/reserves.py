@@ -32,8 +32,8 @@ class Reserves:
             near zero has no direction [m].
         push_speed: the same for plans that bear deviations: least speed of the object along the direction of an
             impact, before and after it [m/s].
-        tracking: robustness that the boxes of such plans keep, because no flight is exact [m]; flown with their responses
-            in the world as believed, objects leave their boxes by less than a tenth of it.
+        tracking: robustness that the boxes of such plans keep, because no flight is exact [m]; in the believed world,
+            but for the deviations, objects leave their boxes by less than a tenth of it.
 
     Source: speed, first, gap, last and avoid are near the best of closed-loop trials of a prototype with restitution,
     mass, sensing, drift and actuation perturbed; the others are choices.

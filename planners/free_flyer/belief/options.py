@@ -144,6 +144,7 @@ class Response:
     # not as believed, and the plan promises nothing any more.
     excess: float = 0.1
     sure: float = 3.0
+    known: float = 0.01  # standard deviation of where the object will be from which on it is answered at once [m]
     rejoin: Positive = 4.0  # in which a course goes over to a changed curve, at least [s]
 
 

@@ -111,7 +111,7 @@ class PlanTable(NamedTuple):
         response: RESPONSE of each impact, shape (K,); of a plan without responses, or where nobody follows them, (0,).
         answer: number of the impact whose place decides where each robot goes on a segment of its curve, or NO_IMPACT,
             shape (r, S).
-        term: A, B and C of the segments in power basis, shape (r, S, 3, d + 1, 2) [m]; without responses (r, S, 0, ...).
+        term: A, B and C of the segments in power basis, shape (r, S, 3, d + 1, 2) [m]; empty without.
     """
 
     period: float

@@ -33,7 +33,7 @@ from planners.free_flyer.next_impact.bookkeeping import (
     take_contact,
     take_misses,
 )
-from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, is_answered, is_promised
+from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, is_answered, is_promised, is_settled
 from planners.free_flyer.next_impact.insertion import insert_impact
 from planners.free_flyer.next_impact.reoptimisation import reoptimise_rest
 from planners.free_flyer.next_impact.replanner import replan_course
@@ -176,7 +176,7 @@ def should_replan(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     """Return whether the course of robot r to its impact on object o has to be replanned now."""
     strike = memory.strike[k, o]
     time = strike.time
-    settled = now >= strike.last_contact + options.timing.settle - ROUND_OFF
+    settled = is_settled(plan, memory, options, k, o, now)
     begin = time - options.timing.replan_window
     if strike.index != NO_IMPACT and is_answered(plan, memory, options, k, o):
         begin = plan.response[strike.index].leave

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
-from planners.free_flyer.belief.estimator import extrapolate_flight
+from planners.free_flyer.belief.estimator import compute_variance, extrapolate_flight
 from planners.free_flyer.belief.offset import extrapolate_swing
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
@@ -48,6 +48,17 @@ def is_answered(plan: PlanTable, memory: WorldMemory, options: Options, k: int, 
     x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, time)
     lower, upper, edge = plan.knot[knot].lower, plan.knot[knot].upper, options.response.edge
     return lower[0] - edge <= x <= upper[0] + edge and lower[1] - edge <= y <= upper[1] + edge
+
+
+@compiled
+def is_settled(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, now: float) -> bool:
+    """Return whether object o's flight is known well enough since its last contact to plan with."""
+    strike = memory.strike[k, o]
+    if now >= strike.last_contact + options.timing.settle - ROUND_OFF:
+        return True
+    if strike.index == NO_IMPACT or not is_answered(plan, memory, options, k, o):
+        return False
+    return math.sqrt(max(compute_variance(memory, k, plan.robots + o, strike.time), 0.0)) <= options.response.known
 
 
 @compiled

@@ -14,7 +14,7 @@ from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory, find_next_event
-from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, is_answered
+from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, is_answered, is_settled
 from planners.free_flyer.tracking.course import evaluate_course, rejoin_plan
 
 NARROW = 1e-9  # a box of this half width has one place [m]
@@ -72,8 +72,9 @@ def respond(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: i
         return
     o = plan.impact[index].body - plan.robots
     strike = memory.strike[k, o]
-    settled = now >= strike.last_contact + options.timing.settle - ROUND_OFF
-    if strike.index != index or not settled or not is_answered(plan, memory, options, k, o):
+    if strike.index != index or not is_answered(plan, memory, options, k, o):
+        return
+    if not is_settled(plan, memory, options, k, o, now):
         return
     memory.responded[k, r] = now
     dx, dy = find_place(plan, memory, k, o, index)

@@ -18,11 +18,12 @@ from planners import make_plan as plan_scenario
 from planners.bezier import Curve
 from planners.free_flyer.belief.options import EXPERT
 from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table, read_tube
-from planners.free_flyer.next_impact.desired_velocity import choose_desired_velocity, is_answered
+from planners.free_flyer.next_impact.bookkeeping import learn_from_hits
+from planners.free_flyer.next_impact.desired_velocity import choose_desired_velocity, is_answered, is_settled
 from planners.free_flyer.next_impact.response import find_place, respond, write_curve
 from planners.free_flyer.tracking.course import evaluate_course, evaluate_curve
 from planners.plan import Plan, PlannedResponse, Tube
-from tests.planners.free_flyer.plans import OPTIONS, K, World, load, make_plan, plan_impact
+from tests.planners.free_flyer.plans import OPTIONS, K, World, load, make_plan, plan_impact, set_fields
 
 NAME, SNAP, CRACKLE, POP, SEED = "throw_and_catch", 0, 1, 2, 1_000_000
 FIRST, SECOND, START, END = 10.0, 20.0, 12.0, 28.0
@@ -142,6 +143,25 @@ def test_what_the_plan_does_not_promise_is_not_answered(how: str) -> None:
     assert not is_answered(world.table, world.memory, OPTIONS, K, 0)
     respond(world.table, world.memory, OPTIONS, K, CRACKLE, float(world.memory.time[K]))
     np.testing.assert_array_equal(world.memory.flown[K], world.table.coefficients)
+
+
+@pytest.mark.parametrize(("share", "promised"), [(0.9, True), (1.3, False)])
+def test_a_deviation_beyond_the_plans_ends_its_promise(share: float, promised: bool) -> None:
+    world = make_world(CENTRE)
+    off = share * world.table.deviation * np.array([0.2, -1.0])
+    set_fields(world.hit[0], is_pending=True, is_answered=True, time=FIRST, watched_at=math.inf)
+    world.hit[0]["aim"] = world.memory.filter["velocity"][K, POP] + off
+    learn_from_hits(world.table, world.memory, OPTIONS, K, FIRST + 2.0)
+    assert is_answered(world.table, world.memory, OPTIONS, K, 0) == promised
+
+
+def test_a_flight_that_is_known_at_once_is_answered_at_once() -> None:
+    world, soon = make_world(CENTRE), FIRST + 0.1
+    world.memory.time[K] = soon
+    assert is_settled(world.table, world.memory, OPTIONS, K, 0, soon)
+    world.memory.filter["P_vv"][K, POP] = 0.01**2  # 10 cm at the impact
+    assert not is_settled(world.table, world.memory, OPTIONS, K, 0, soon)
+    assert is_settled(world.table, world.memory, OPTIONS, K, 0, FIRST + EXPERT.timing.settle)
 
 
 @cache
