@@ -322,16 +322,30 @@ def kill_at(expert: FreeFlyerExpert, time: float) -> Spoil:
     return kill
 
 
-def test_a_killed_process_changes_nothing_for_another_is_asked() -> None:
-    world = load("throw_and_catch")
-    runs = []
-    for killed_at in (-1.0, WANTED + 0.1):
+SLOWLY = """
+import sys, time
+from planners.free_flyer.closed_loop.planning_process import answer_requests
+def read():
+    for line in sys.stdin:
+        time.sleep(1.0)
+        yield line
+answer_requests(read(), sys.stdout)
+"""
+
+
+def test_how_its_process_fares_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One is killed while it plans, so that another is asked; one takes a second longer."""
+    world, runs = load("throw_and_catch"), []
+    for killed_at, code in ((-1.0, None), (WANTED + 0.1, None), (-1.0, SLOWLY)):
+        if code:
+            speak(monkeypatch, code)
         expert = make_expert("throw_and_catch")
         runs.append(Run(expert, world, (WANTED,), kill_at(expert, killed_at)))
         expert._background.close()
     assert runs[0].counts["planned_anew"] == 1
-    assert (runs[1].taken, runs[1].counts) == (runs[0].taken, runs[0].counts)
-    np.testing.assert_array_equal(runs[1].actions, runs[0].actions)
+    for run in runs[1:]:
+        assert (run.taken, run.counts) == (runs[0].taken, runs[0].counts)
+        np.testing.assert_array_equal(run.actions, runs[0].actions)
 
 
 @pytest.mark.usefixtures("hopeless")
@@ -743,7 +757,7 @@ import sys
 from planners.free_flyer.closed_loop.planning_process import PlanningProcesses
 expert = type("Expert", (), dict())()
 expert.processes = PlanningProcesses(1, 60.0)
-expert.processes.ask(1, {request(1)!r} if {busy} else "\\n")
+expert.processes.ask(1, {request(1)!r}) if {busy} else expert.processes._choose_worker()
 print(*expert.processes.pids, flush=True)
 {ENDS[end]}
 """
