@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import pytest
 
 from impact_envs import InputError
+from tests.train.processes import ROOT, count_rows, find_children, is_alive, list_children, start, wait_until
 from train.evaluation.errors import WorkerLost
 from train.evaluation.evaluate import evaluate
 from train.evaluation.folder_lock import lock_folder
@@ -23,7 +23,6 @@ from train.evaluation.workers import work
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc and sends signals")
 
-ROOT = Path(__file__).parents[3]
 EPISODES = 40
 CODE = (
     "import sys; from train.evaluation.evaluate import evaluate\n"
@@ -37,47 +36,6 @@ def script(tmp_path: Path) -> Path:
     path = tmp_path / "script.py"
     path.write_text(CODE)
     return path
-
-
-def start(script: Path, out: Path) -> subprocess.Popen[bytes]:
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    return subprocess.Popen([sys.executable, str(script), str(out)], env=environment, stderr=subprocess.PIPE)
-
-
-def wait_until(done: Any, seconds: float) -> bool:
-    deadline = time.monotonic() + seconds
-    while not done() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    return bool(done())
-
-
-def count_rows(out: Path) -> int:
-    journal = out / "rows.jsonl"
-    return journal.read_bytes().count(b"\n") if journal.exists() else 0
-
-
-def list_children(pid: int) -> list[int]:
-    """All that descends from a process, and is no zombie."""
-    parents = {}
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            fields = (folder / "stat").read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if fields[0] != "Z":
-            parents[int(folder.name)] = int(fields[1])
-    found, new = [], [pid]
-    while new:
-        new = [child for child, parent in parents.items() if parent in new]
-        found += new
-    return found
-
-
-def is_alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def read_rows(out: Path) -> list[dict[str, Any]]:
@@ -109,8 +67,7 @@ def test_no_kill_loses_doubles_or_changes_a_row(script: Path, tmp_path: Path) ->
     run = start(script, out)
     try:
         assert wait_until(lambda: count_rows(out) >= 22, 120)
-        workers = [pid for pid in list_children(run.pid) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-        os.kill(workers[0], signal.SIGKILL)
+        os.kill(find_children(run.pid, b"spawn_main")[0], signal.SIGKILL)
         _, said = run.communicate(timeout=120)
     finally:
         run.kill()
