@@ -38,11 +38,8 @@ from train.evaluation.player import Job, checkpoint_directory, play
 from train.evaluation.statistics import compare
 from train.evaluation.workers import end_on_sigterm
 
-
 # Per scenario, suite and policy. All are listed: a slip of the keyboard must not fill the memory.
 MOST_EPISODES = 1_000_000
-    1_000_000  # per scenario, suite and policy; all are listed, and a slip of the keyboard must not fill memory
-)
 
 
 @dataclass(frozen=True)
