@@ -64,7 +64,7 @@ def read_vector(value: Any, size: int, what: str, finite: bool = True, needed: s
     """
     try:
         array = np.asarray(value)
-    except (ValueError, TypeError):  # of different lengths, for example
+    except (ValueError, TypeError, RuntimeError):  # of different lengths, for example, or a tensor that wants gradients
         array = np.empty(0, object)
     if array.shape == (size,) and array.dtype.kind in REAL and not (finite and not np.isfinite(array).all()):
         return array.astype(float, copy=False)

@@ -12,7 +12,7 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from impact_envs.domain import find_part
-from impact_envs.errors import InputError, ResetNeeded, check_count
+from impact_envs.errors import InputError, ResetNeeded, check_count, choices
 from impact_envs.failure import NotFinite, SimulationFailed, TooManyEvents, check_finite
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact, LastingContact
@@ -112,7 +112,7 @@ class ImpactEnv(ParallelEnv):
     end of the interval, at least minus the diagonal.
 
     Raises:
-        InputError: ``max_cycles`` is no whole number from 1.
+        InputError: ``max_cycles`` is no whole number from 1, or ``render_mode`` is unknown.
     """
 
     metadata = {
@@ -123,6 +123,8 @@ class ImpactEnv(ParallelEnv):
     }
 
     def __init__(self, model: Model, task: Task, render_mode: str | None = None, max_cycles: int | None = None) -> None:
+        if render_mode is not None and render_mode not in (known := self.metadata["render_modes"]):
+            raise InputError(f"render_mode '{render_mode}' is unknown; {choices(render_mode, known)}")
         self.model, self.task, self.render_mode = model, task, render_mode
         self.scenario: Any = task.scenario
         self._last, self._limit = self.scenario.steps, self.scenario.world.diagonal  # computed at every access
@@ -152,11 +154,11 @@ class ImpactEnv(ParallelEnv):
 
     def observation_space(self, agent: str) -> Box:
         """Return the agent's observation space, the same object at every call."""
-        return self.task.observation_spaces[agent]
+        return self._find(agent, self.task.observation_spaces)
 
     def action_space(self, agent: str) -> Box:
         """Return the agent's action space, the same object at every call."""
-        return self.task.action_spaces[agent]
+        return self._find(agent, self.task.action_spaces)
 
     @property
     def time(self) -> float:
@@ -296,6 +298,11 @@ class ImpactEnv(ParallelEnv):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}
 
+    def _find(self, agent: str, spaces: Mapping[str, Box]) -> Box:
+        if agent not in self.possible_agents:
+            raise InputError(f"agent '{agent}' is unknown; {choices(agent, self.possible_agents)}")
+        return spaces[agent]
+
     def _check_started(self, call: str) -> None:
         if self._rng is None:
             raise ResetNeeded(f"{call} before reset: call reset first")
@@ -365,7 +372,7 @@ def parallel_env(
 
     Raises:
         ScenarioError: the scenario cannot be read.
-        InputError: ``max_cycles`` is no whole number from 1.
+        InputError: ``max_cycles`` is no whole number from 1, or ``render_mode`` is unknown.
     """
     loaded = load_scenario(scenario)
     make_model, make_task = (find_part("impact_envs", loaded.domain, name) for name in ("MODEL", "TASK"))

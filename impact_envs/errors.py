@@ -49,18 +49,18 @@ def check_count(name: str, number: Any) -> None:
         raise InputError(f"{name} = {number!r}: a whole number from 1 is needed")
 
 
-def choices(wrong: str, known: Iterable[str]) -> str:
+def choices(wrong: object, known: Iterable[str]) -> str:
     """Say which names are known, the nearest one first.
 
     Args:
-        wrong: the name that is not known.
+        wrong: what is not known; a name mostly.
         known: the names that are.
 
     Returns:
         Text such as ``did you mean 'radius'? choices: mass, radius``.
     """
     names = list(known)
-    near = difflib.get_close_matches(wrong, names, n=1)
+    near = difflib.get_close_matches(str(wrong), names, n=1)
     hint = f"did you mean '{near[0]}'? " if near else ""
     return f"{hint}choices: {', '.join(names) or 'none'}"
 

@@ -20,7 +20,10 @@ class TooManyEvents(SimulationFailed):
     """
 
     def __init__(self, events: int) -> None:
-        super().__init__(f"more than {events} events in a control period")
+        super().__init__(events)  # what a copy is made with
+
+    def __str__(self) -> str:
+        return f"more than {self.args[0]} events in a control period"
 
 
 class NotFinite(SimulationFailed):
@@ -31,7 +34,10 @@ class NotFinite(SimulationFailed):
     """
 
     def __init__(self, body: str) -> None:
-        super().__init__(f"state of {body} is not finite")
+        super().__init__(body)  # what a copy is made with
+
+    def __str__(self) -> str:
+        return f"state of {self.args[0]} is not finite"
 
 
 def check_finite(states: np.ndarray, bodies: Sequence[str]) -> None:

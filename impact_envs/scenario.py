@@ -235,6 +235,8 @@ class Scenario(Table):
         Raises:
             ScenarioError: an unknown key or a value that does not fit.
         """
+        if not isinstance(values, Mapping) or not all(isinstance(key, str) for key in values):
+            raise ScenarioError(f"{self.name}: override {values!r:.60}: a dict from dotted key to value is needed")
         data = self.model_dump(exclude_unset=True)
         for key, value in values.items():
             table = data
@@ -256,8 +258,8 @@ class Scenario(Table):
             ScenarioError: no such suite.
         """
         table = self._suites()
-        if name not in table:
-            raise ScenarioError(f"{self.name}: suite '{name}' is unknown; {choices(name, table)}")
+        if not isinstance(name, str) or name not in table:
+            raise ScenarioError(f"{self.name}: suite '{name!s:.60}' is unknown; {choices(name, table)}")
         values = dict(table[name])
         scale = values.pop("horizon_scale", 1.0)
         if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale <= 1:

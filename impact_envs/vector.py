@@ -139,6 +139,8 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         Raises:
             InputError: a mask or seeds of another shape, or a bad seed.
         """
+        if options is not None and not isinstance(options, dict):
+            raise InputError(f"options = {options!r:.60}: a dict is needed")
         mask = self._check_mask((options or {}).get("reset_mask"))
         if not (self._started or mask.all()):
             world = int(np.argmin(mask))

@@ -223,3 +223,35 @@ def test_make_vec_takes_what_gymnasium_gives():
         vector_env(DISCS, render_mode="human")
     with pytest.raises(InputError, match="give only one"):
         vector_env(DISCS, max_cycles=2, max_episode_steps=3)
+
+
+@pytest.mark.parametrize(
+    ("what", "do"),
+    [
+        ("render_mode 'ansi' is unknown", lambda: parallel_env(DISCS, render_mode="ansi")),
+        ("render_mode '5' is unknown", lambda: JointEnv(DISCS, render_mode=5)),
+        ("agent 'nobody' is unknown", lambda: parallel_env(DISCS).action_space("nobody")),
+        ("agent 'nobody' is unknown", lambda: parallel_env(DISCS).observation_space("nobody")),
+        ("dtype '.*float32.*' is unknown", lambda: vector_env(DISCS, dtype=np.float32)),
+        ("device '5' is unknown", lambda: vector_env(DISCS, device=5)),
+        ("options = 5", lambda: vector_env(DISCS).reset(options=5)),
+        ("suite 'None' is unknown", lambda: load_scenario(DISCS).suite(None)),
+        ("suite .* is unknown", lambda: load_scenario(DISCS).suite([])),
+        ("override", lambda: load_scenario(DISCS).override(None)),
+        ("override", lambda: load_scenario(DISCS).override({1: 2})),
+    ],
+)
+def test_names_of_another_type_are_unknown_names(what, do):
+    with pytest.raises(InputError, match=what) as error:
+        do()
+    check_line(error)
+
+
+def test_tensors_that_want_gradients_are_no_actions():
+    torch = pytest.importorskip("torch")
+    env = JointEnv(DISCS)
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="action = ") as error:
+        env.step(torch.zeros(6, requires_grad=True))
+    check_line(error)
+    assert env.parallel.time == 0.0

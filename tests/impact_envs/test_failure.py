@@ -1,10 +1,13 @@
 """A simulation that cannot go on ends its episode: named, counted, unsuccessful, with finite observations."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
 from impact_envs import load_scenario, parallel_env, rollout, vector_env
-from impact_envs.failure import NotFinite, check_finite
+from impact_envs.failure import NotFinite, TooManyEvents, check_finite
 from impact_envs.rollout import ZeroPolicy
 
 DISCS = load_scenario("throw_and_catch").override({"horizon": 5.0, "formula": "F[0,5] pop in goal"})
@@ -23,6 +26,12 @@ def test_the_first_body_that_is_not_finite_is_named():
     states[1:, 2] = np.nan
     with pytest.raises(NotFinite, match="state of b is not finite"):
         check_finite(states, ("a", "b", "c"))
+
+
+@pytest.mark.parametrize("failure", [NotFinite("b"), TooManyEvents(7)])
+def test_a_copied_failure_says_the_same(failure):
+    for copied in (copy.deepcopy(failure), pickle.loads(pickle.dumps(failure))):
+        assert (type(copied), str(copied)) == (type(failure), str(failure))
 
 
 @pytest.mark.parametrize("scenario", [DISCS, DISCS.override({"engine": "pymunk"})], ids=["exact", "pymunk"])

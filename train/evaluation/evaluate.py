@@ -18,6 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from impact_envs.errors import InputError
 from impact_envs.file import write_atomically
 from impact_envs.scenario import Scenario
+from impact_envs.stream import check_seed
 from planners import has_planner, list_variants, make_plan
 from planners.plan import Plan
 from train.evaluation.case import (
@@ -36,6 +37,9 @@ from train.evaluation.metrics import compare_metrics, summarize
 from train.evaluation.player import Job, checkpoint_directory, play
 from train.evaluation.statistics import compare
 from train.evaluation.workers import end_on_sigterm
+
+# Per scenario, suite and policy. All are listed: a slip of the keyboard must not fill the memory.
+MOST_EPISODES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -180,6 +184,9 @@ def _check_request(cases: Sequence[Case], labels: Sequence[str], episodes: int, 
     for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("workers", workers, 1)):
         if value < least:
             raise InputError(f"{name} {value} is too small; choices: {least}, {least + 1}, ...")
+    if episodes > MOST_EPISODES:
+        raise InputError(f"episodes {episodes} is too large; at most {MOST_EPISODES}")
+    check_seed(seed + episodes - 1, "seed of the last episode")
     for label in labels:
         for case in cases:
             if not is_built_in(label, case.scenario):

@@ -255,6 +255,8 @@ def test_damaged_folders_are_named(short: Scenario, tmp_path: Path) -> None:
         ({"policies": []}, "no policy"),
         ({"suites": ["mas"]}, "did you mean 'mass'"),
         ({"episodes": 0}, "episodes 0 is too small"),
+        ({"episodes": 10**12}, "episodes 1000000000000 is too large"),
+        ({"seed": 2**63 - 1, "episodes": 2}, "seed of the last episode"),
         ({"seed": -1}, "seed -1 is too small"),
         ({"workers": 0}, "workers 0 is too small"),
         ({"policies": ["tests"]}, "checkpoint 'tests' has no policy.json"),
