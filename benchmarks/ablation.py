@@ -11,6 +11,7 @@ plans made in the background. Ctrl-C prints what is played.
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -36,7 +37,7 @@ from train.evaluation.case import EVALUATION_SEEDS
 ALL, NONE = "all parts", "no part"
 OFFSET, DEADLINE = "true.center_of_mass_offset", "horizon_scale"
 # Parts that are nothing without another one, and go with it.
-WITH = {"true.drift_turn": "true.drift"}
+WITH = {"true.drift_turn": "true.drift", "true.velocity_measured": "true.position_noise"}
 
 
 def list_rows(scenario: Scenario, suite: str) -> Iterator[tuple[str, Scenario]]:
@@ -105,8 +106,8 @@ class Args:
     """First of them."""
     policy: str = "expert"
     """expert, or oracle, who is told all."""
-    plan: Path | None = None
-    """Of the scenario with its whole horizon; made now without."""
+    plans: Path | None = None
+    """Folder of plans SCENARIO.json, and SCENARIO_hard.json with the shortened horizon; made now where there is none."""
     rows: tuple[str, ...] = ()
     """What is played, by the first column; everything without."""
     out: Path | None = None
@@ -133,15 +134,13 @@ def play_rows(args: Args) -> Iterator[dict[str, Any]]:
     """Yield success and median of every row as it is played."""
     scenario = load_scenario(args.scenario)
     plans: dict[float, Plan] = {}
-    if args.plan:
-        plans[scenario.horizon] = Plan.load(args.plan)
     seeds = range(args.seed, args.seed + args.seeds)
     known = args.policy == "expert" and OFFSET in scenario._suites().get(args.suite, {})
     for parts, world in list_rows(scenario, args.suite):
         if args.rows and parts not in args.rows:
             continue
         if world.horizon not in plans:
-            plans[world.horizon] = make_plan(world)
+            plans[world.horizon] = read_plan(args.plans, world, scenario) or make_plan(world)
         row: dict[str, Any] = {"scenario": scenario.name, "suite": args.suite, "parts": parts, "episodes": args.seeds}
         won, robustness = play(world, plans[world.horizon], args.policy, seeds)
         row |= {"success": float(won.mean()), "median": float(np.median(robustness))}
@@ -149,6 +148,22 @@ def play_rows(args: Args) -> Iterator[dict[str, Any]]:
             won, robustness = play(world, plans[world.horizon], "oracle", seeds, ("offset",))
             row |= {"success, offset told": float(won.mean()), "median, offset told": float(np.median(robustness))}
         yield row
+
+
+def read_plan(folder: Path | None, world: Scenario, whole: Scenario) -> Plan | None:
+    """Return a plan that was made before, None without one.
+
+    Args:
+        folder: of plans, as ``tests/frozen/plans``.
+        world: to be planned.
+        whole: the same scenario with its whole horizon.
+    """
+    shortened = "" if world.horizon == whole.horizon else "_hard"
+    path = folder / f"{whole.name}{shortened}.json" if folder else None
+    if path is None or not path.exists():
+        return None
+    plan = Plan.load(path)
+    return plan if math.isclose(plan.horizon, world.horizon) else None
 
 
 def add_shares(rows: Sequence[dict[str, Any]]) -> None:

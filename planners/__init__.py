@@ -22,12 +22,15 @@ __all__ = [
     "PlanningError",
     "SolverFailed",
     "check_options",
+    "check_oracle",
     "check_planned",
     "has_planner",
     "list_options",
     "list_variants",
     "make_expert",
     "make_expert_batch",
+    "make_oracle",
+    "make_oracle_batch",
     "make_plan",
 ]
 
@@ -133,6 +136,69 @@ def make_expert_batch(
     else:
         check_plan(loaded, plan)
     return make(loaded.as_believed(), plan, count, **arguments, threads=threads)
+
+
+def make_oracle(
+    scenario: str | Path | Scenario, plan: Plan | None = None, options: Mapping[str, Any] | None = None
+) -> Any:
+    """Make the expert that is told the true physics of every episode: it bounds what learning can gain.
+
+    It does not look for the truth: whoever judges it calls ``tell(physics)`` after ``reset``.
+
+    Args:
+        scenario: a shipped name, the path of a TOML file, or a Scenario.
+        plan: to execute; by default planned now.
+        options: as make_expert.
+
+    Raises:
+        InputError, PlanningError: as make_expert; InputError also where a domain's expert cannot be told.
+    """
+    loaded = load_scenario(scenario)
+    check_oracle(loaded)
+    plan, chosen = _prepare(loaded, plan, options)
+    return find_part("planners", loaded.domain, "ORACLE")(loaded.as_believed(), plan, **chosen)
+
+
+def make_oracle_batch(
+    scenario: str | Path | Scenario,
+    count: int,
+    plan: Plan | None = None,
+    options: Mapping[str, Any] | None = None,
+    threads: int = 1,
+) -> Any:
+    """Make the oracles of the worlds of a vector environment; see make_oracle and make_expert_batch.
+
+    ``tell(physics)`` takes what ``scenario.draw_many`` returns for all worlds, before their first observations.
+    """
+    loaded = load_scenario(scenario)
+    check_oracle(loaded)
+    plan, chosen = _prepare(loaded, plan, options)
+    make = find_part("planners", loaded.domain, "ORACLE_BATCH")
+    return make(loaded.as_believed(), plan, count, **chosen, threads=threads)
+
+
+def check_oracle(scenario: Scenario) -> None:
+    """Raise unless a scenario's expert can be told the truth.
+
+    Raises:
+        InputError: its domain has no oracle.
+    """
+    if find_part("planners", scenario.domain, "ORACLE") is None:
+        told = [name for name in list_domains() if find_part("planners", name, "ORACLE")]
+        raise InputError(
+            f"scenario '{scenario.name}': the expert of domain '{scenario.domain}' cannot be told the truth; "
+            f"domains with an oracle: {', '.join(told)}"
+        )
+
+
+def _prepare(scenario: Scenario, plan: Plan | None, options: Mapping[str, Any] | None) -> tuple[Plan, dict[str, Any]]:
+    """Return the plan to execute, made now if none is given, and options as the oracle's maker takes them."""
+    chosen = _choose(scenario, None, options)
+    chosen.pop("variant")
+    if plan is None:
+        return make_plan(scenario), chosen
+    check_plan(scenario, plan)
+    return plan, chosen
 
 
 def check_plan(scenario: Scenario, plan: Plan) -> None:

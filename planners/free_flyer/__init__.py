@@ -7,6 +7,8 @@ PLANNERS = {
 }
 EXPERT = "planners.free_flyer.expert:FreeFlyerExpert"
 EXPERT_BATCH = "planners.free_flyer.expert_batch:FreeFlyerExpertBatch"
+ORACLE = "planners.free_flyer.oracle:FreeFlyerOracle"
+ORACLE_BATCH = "planners.free_flyer.oracle:FreeFlyerOracleBatch"
 OPTIONS = "planners.free_flyer.belief.options:get_options"
 VARIANTS = "planners.free_flyer.belief.options:VARIANTS"
 CHECK_PLAN = "planners.free_flyer.expert:check_plan"

@@ -77,7 +77,8 @@ class Truth:
         self._approach = float(np.mean(speeds)) if speeds else 0.0
         self.told = np.zeros((count, len(scenario.objects)), TOLD)
         self.delay = np.zeros(count, np.int64)  # [control periods]
-        self.pushes = np.zeros((count, self._robots, MOST_DELAY, 2))  # accelerations of the robots, newest first
+        # What the robots did in the last control periods, newest first: accelerations x, y [m/s^2] and turning [rad/s^2].
+        self.pushes = np.zeros((count, self._robots, MOST_DELAY + 1, 3))
         self._masses = np.array([scenario.body(name).mass for name in scenario.bodies])
         self._restitution = np.full(count, float(scenario.believed.restitution))
         self._mass = np.tile(self._masses, (count, 1))
@@ -111,8 +112,10 @@ class Truth:
             horizon: [s].
             memory: of the expert.
         """
-        open_belief = "drift" in self._parts
-        read_truth(self.told, self.delay, self.pushes, self._period, horizon, joint, memory.filter, open_belief)
+        turns = "drift" in self._parts
+        read_truth(self.told, self._period, horizon, joint, memory.filter, turns)
+        late = self.pushes[np.arange(len(joint)), :, self.delay]
+        memory.push[:], memory.spin[:] = late[:, :, :2], late[:, :, 2]
 
     def keep(self, plan: PlanTable, memory: WorldMemory, options: Options) -> None:
         """Open the belief of worlds whose first reading the expert took; remember what the robots do.
@@ -123,7 +126,7 @@ class Truth:
             options: of the expert, as a record.
         """
         self.pushes[:, :, 1:] = self.pushes[:, :, :-1]
-        self.pushes[:, :, 0] = memory.push
+        self.pushes[:, :, 0, :2], self.pushes[:, :, 0, 2] = memory.push, memory.spin
         for k in np.flatnonzero(self._waits).tolist():
             self._open_pairs(memory, k)
             self._open_filters(plan, memory, options, k)
@@ -163,28 +166,20 @@ class Truth:
 
 @compiled
 def read_truth(
-    told: np.ndarray,
-    delay: np.ndarray,
-    pushes: np.ndarray,
-    period: float,
-    horizon: float,
-    joint: np.ndarray,
-    filters: np.ndarray,
-    turns: bool,
+    told: np.ndarray, period: float, horizon: float, joint: np.ndarray, filters: np.ndarray, turns: bool
 ) -> None:
-    """Turn the readings of N worlds into those of centres of mass, now, and the told drifts into those of now.
+    """Turn the readings of N worlds into those of centres of mass, and the told drifts into those of now.
 
     Args:
         told: TOLD of every object, shape (N, m).
-        delay: control periods that readings are old, shape (N,).
-        pushes: accelerations of the robots in the last control periods, newest first, shape (N, r, periods, 2) [m/s^2].
         period: control period [s].
         horizon: [s].
         joint: everything measured once, changed in place, shape (N, 7 n + r + 3).
         filters: FILTER of every body, whose drifts are written, shape (N, n).
         turns: whether drifts are told.
     """
-    robots, bodies = pushes.shape[1], filters.shape[1]
+    bodies = filters.shape[1]
+    robots = bodies - told.shape[1]
     clock = find_shared_place(bodies, robots) + TIME
     for k in range(joint.shape[0]):
         for o in range(told.shape[1]):
@@ -194,8 +189,6 @@ def read_truth(
                 drift = told[k, o].drift
                 x, y = turn_drift(drift[0], drift[1], told[k, o].turn, steps, period)
                 filters[k, robots + o].drift[0], filters[k, robots + o].drift[1] = x, y
-        for i in range(bodies):
-            read_now(delay[k], pushes, period, k, i, joint)
 
 
 @inlined
@@ -208,17 +201,6 @@ def read_mass_centre(told: np.record, k: int, at: int, joint: np.ndarray) -> Non
     joint[k, at + Y] += y
     joint[k, at + VX] -= rate * y
     joint[k, at + VY] += rate * x
-
-
-@inlined
-def read_now(delay: int, pushes: np.ndarray, period: float, k: int, i: int, joint: np.ndarray) -> None:
-    """Move the reading of body i on by the delay: straight on, and as its thrusters pushed it since."""
-    at = BODY_SIZE * i
-    for past in range(delay - 1, -1, -1):
-        for axis in range(2):
-            push = pushes[k, i, past, axis] if i < pushes.shape[1] else 0.0
-            joint[k, at + X + axis] += period * (joint[k, at + VX + axis] + period / 2.0 * push)
-            joint[k, at + VX + axis] += period * push
 
 
 class FreeFlyerOracle(FreeFlyerExpert):

@@ -21,7 +21,7 @@ class Command:
     scenarios: Positional[tuple[str, ...]]
     """Shipped names or TOML files."""
     policies: tuple[str, ...] = ("expert", "zero")
-    """expert, zero, random, variants of the expert, shipped policies or checkpoint folders."""
+    """expert, oracle (told the truth), zero, random, variants of the expert, shipped policies or checkpoint folders."""
     episodes: int = 20
     """Episodes per scenario, suite and policy."""
     seed: int = EVALUATION_SEEDS

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError, choices
 from impact_envs.scenario import Scenario, load_scenario
-from planners import check_options, check_planned, list_variants
+from planners import check_options, check_oracle, check_planned, list_variants
 
 if TYPE_CHECKING:
     from planners.plan import Plan
 
 # Training uses seeds below 1,000,000, tuning those below this one.
 EVALUATION_SEEDS = 2_000_000
-BUILT_IN = ("expert", "zero", "random")
+BUILT_IN = ("expert", "oracle", "zero", "random")
 EXPERT = "expert."  # how a changed value of the expert begins
 
 
@@ -93,11 +93,14 @@ def has_expert(policy: str) -> bool:
 
 
 def check_settings(case: Case, policies: Sequence[str]) -> None:
-    """Raise unless the experts of the policies have the changed options.
+    """Raise unless the experts of the policies are there, and have the changed options.
 
     Raises:
-        InputError: an option is unknown or its value does not fit, or no policy has an expert.
+        InputError: an option is unknown or its value does not fit, or no policy has an expert, or none can be told the
+            truth.
     """
+    if "oracle" in policies:
+        check_oracle(case.scenario)
     if not case.options:
         return
     variants = list_variants(case.scenario)

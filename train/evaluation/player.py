@@ -18,6 +18,7 @@ from planners import list_variants, make_expert
 from planners.plan import Plan
 from train.evaluation.case import BUILT_IN, Case, has_expert, is_built_in
 from train.evaluation.metrics import make_row
+from train.evaluation.oracle import OraclePolicy
 from train.evaluation.replay import episode_to_dict
 from train.evaluation.workers import work
 
@@ -71,7 +72,7 @@ def make_policy(
     """Make a policy from its name.
 
     Args:
-        name: ``expert``, ``zero`` (no control), ``random`` (uniform actions), a variant of the expert (see
+        name: ``expert``, ``oracle`` (told the truth), ``zero`` (no control), ``random`` (uniform actions), a variant of the expert (see
             planners.list_variants), a checkpoint directory, or the name of a shipped checkpoint.
         scenario: a shipped name, the path of a TOML file, or a Scenario; experts see only its believed part.
         plan: for the expert to follow; planned now if one is needed and none is given.
@@ -86,6 +87,8 @@ def make_policy(
         return ZeroPolicy(parallel_env(loaded))
     if name == "random":
         return RandomPolicy(parallel_env(loaded))
+    if name == "oracle":
+        return OraclePolicy(loaded, plan, options)
     variants = list_variants(loaded)
     if name == "expert" or name in variants:
         return make_expert(loaded, plan, name if name in variants else None, options)
