@@ -33,6 +33,7 @@ FILTER = np.dtype(
         ("P_vv", float),
         ("P_va", complex),
         ("P_aa", float),
+        ("still", float),  # probability that there is no such acceleration, see `drift`
         ("offset", float, 2),  # of the geometric centre from the centre of mass, in the body's frame, d [m]
         ("P_pd", complex),
         ("P_vd", complex),
