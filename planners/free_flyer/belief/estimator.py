@@ -13,6 +13,7 @@ import numpy as np
 from impact_envs.compiled import compiled, inlined
 from impact_envs.free_flyer.sensing import BODY_SIZE, OMEGA, VX, VY, X, Y, find_contact_place
 from impact_envs.physics.impact import compute_velocity_gain
+from planners.free_flyer.belief.drift import find_motion, mix_variance, weigh_drift
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain, get_pair, learn_velocity_error
 from planners.free_flyer.belief.offset import (
     LEAST,
@@ -263,6 +264,8 @@ def update_estimates(
             correct_centre_velocity(z, vx, vy, slow * slow * variance, heading.angle, heading.rate)
         elif is_speed:
             correct_velocity(z, vx, vy, slow * slow * variance)
+    for i in range(r, n):
+        weigh_drift(memory.filter[k, i], options)
 
 
 @inlined
@@ -359,12 +362,11 @@ def extrapolate_flight(memory: WorldMemory, k: int, i: int, time: float) -> tupl
     Source: Verhagen & Tumova, Sec. VI, with the estimated drift and offset added.
     """
     z, h = memory.filter[k, i], time - memory.time[k]
-    x = z.position[0] + h * (z.velocity[0] + h / 2 * z.drift[0])
-    y = z.position[1] + h * (z.velocity[1] + h / 2 * z.drift[1])
+    p, v, a = find_motion(z)
+    p, v = p + h * (v + h / 2 * a), v + h * a
     if z.P_dd > 0.0:
-        move = compute_turn_ahead(memory, k, i, h) * get_offset(z)
-        x, y = x + move.real, y + move.imag
-    return x, y, z.velocity[0] + h * z.drift[0], z.velocity[1] + h * z.drift[1]
+        p += compute_turn_ahead(memory, k, i, h) * get_offset(z)
+    return p.real, p.imag, v.real, v.imag
 
 
 @compiled
@@ -373,10 +375,12 @@ def compute_variance(memory: WorldMemory, k: int, i: int, time: float) -> float:
     z, h = memory.filter[k, i], time - memory.time[k]
     pp, pv, pa, vv, va, aa = z.P_pp, z.P_pv.real, z.P_pa.real, z.P_vv, z.P_va.real, z.P_aa
     variance = pp + 2 * h * pv + h * h * (pa + vv) + h**3 * va + h**4 / 4 * aa
+    drifting = z.P_pa + h * (z.P_va + h / 2 * aa)
     if z.P_dd > 0.0:
         s, pd = compute_turn_ahead(memory, k, i, h), z.P_pd + h * (z.P_vd + h / 2 * z.P_ad)
         variance += 2.0 * (s * pd.conjugate()).real + (s * s.conjugate()).real * z.P_dd
-    return variance
+        drifting += s * z.P_ad.conjugate()
+    return mix_variance(z, variance, drifting)
 
 
 @inlined

@@ -1,4 +1,4 @@
-r"""The geometric centre of a body that is not its centre of mass: how it swings, and how a hit beside it acts; compiled.
+r"""Follow the geometric centre of a body about its centre of mass, and say how a hit beside that acts; compiled.
 
 With d the geometric centre seen from the centre of mass in the body's frame, R(theta) the body's heading and omega its
 rate, which are measured,
@@ -6,9 +6,9 @@ rate, which are measured,
 p = p_com + R(theta) d,  v = v_com + omega x R(theta) d.
 
 A filter has p, of the geometric centre, and v_com, so that d counts for nothing as long as the body does not turn:
-between two headings p moves by (R(theta') - R(theta)) d beside what v_com does. Plane vectors are complex numbers here:
-R(theta) d = exp(i theta) d, and everything is linear in (p, v_com, a, d) over the complex numbers. Errors that are alike
-in all directions stay so, and one Hermitian covariance over these four serves both axes.
+between two headings p moves by (R(theta') - R(theta)) d beside what v_com does. Plane vectors are complex numbers here,
+R(theta) d = exp(i theta) d, and everything is linear in (p, v_com, a, d) over the complex numbers. Errors that are
+alike in all directions stay so, and one Hermitian covariance over these four serves both axes.
 """
 
 from __future__ import annotations
@@ -142,11 +142,11 @@ def compute_lever(z: np.record, gyration: float, angle: float, nx: float, ny: fl
 
 @compiled
 def compute_spin(z: np.record, gyration: float, angle: float, dx: float, dy: float) -> float:
-    """Return the change of a body's rate by a hit that changes the velocity of its centre of mass: r x dv m / I [rad/s].
+    """Return what a hit changes a body's rate by that changes its velocity: m (r x dv) / I [rad/s].
 
     Args:
         z, gyration, angle: see `compute_lever`.
-        dx, dy: change of the velocity [m/s].
+        dx, dy: change of the velocity of the centre of mass [m/s].
     """
     at = compute_direction(angle) * get_offset(z)
     return (at.real * dy - at.imag * dx) / gyration

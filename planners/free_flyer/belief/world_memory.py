@@ -33,6 +33,7 @@ FILTER = np.dtype(
         ("P_vv", float),
         ("P_va", complex),
         ("P_aa", float),
+        ("still", float),  # probability that there is no such acceleration, see `drift`
         ("offset", float, 2),  # of the geometric centre from the centre of mass, in the body's frame, d [m]
         ("P_pd", complex),
         ("P_vd", complex),
@@ -95,7 +96,7 @@ STRIKE = np.dtype(
         ("robot_minus", float, 2),  # velocity of the robot just before and after [m/s]
         ("robot_plus", float, 2),
         ("object_minus", float, 2),  # velocity of the object just before and after [m/s]
-        ("object_plus", float, 2),
+        ("object_plus", float, 2),  # of the centre of mass
         # Times [s] at which something happened last.
         ("last_contact", float),  # the object was touched
         ("looked_at", float),  # it was asked whether the impact should be moved, or one inserted

@@ -21,6 +21,7 @@ from planners.free_flyer.belief.options import EXPERT, Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import PAST_PERIOD, WorldMemory, find_curves
 from planners.free_flyer.closed_loop.planning_process import PlanningProcesses
+from planners.free_flyer.next_impact.desired_velocity import find_mass
 from planners.free_flyer.nominal.remaining import make_remaining_scenario
 from planners.free_flyer.tracking.course import evaluate_course
 from planners.plan import Plan
@@ -132,7 +133,7 @@ class Background:
             if i < table.robots:
                 motion = evaluate_course(memory.course[k, i], table.breaks, curves, i, begin)[:4]
             else:
-                motion = extrapolate_flight(memory, k, i, begin)
+                motion = (*find_mass(memory, k, i, begin), *extrapolate_flight(memory, k, i, begin)[2:])
             positions[name], velocities[name] = np.array(motion[:2]), np.array(motion[2:])
         seen = int(now / PAST_PERIOD + 1e-6) + 1
         times = np.append(PAST_PERIOD * np.arange(seen), begin)

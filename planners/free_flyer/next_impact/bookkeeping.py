@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
+from planners.free_flyer.belief.drift import find_motion, mix_variance
 from planners.free_flyer.belief.impact_parameters import (
     UNSEEN,
     relearn_pairs,
@@ -153,7 +154,8 @@ def return_robot(
 def remember_before(plan: PlanTable, memory: WorldMemory, k: int) -> None:
     """Store the objects' velocities before the impact that may come now."""
     for o in range(len(plan.first)):
-        memory.hit[k, o].latest = memory.filter[k, plan.robots + o].velocity
+        _, velocity, _ = find_motion(memory.filter[k, plan.robots + o])
+        memory.hit[k, o].latest[0], memory.hit[k, o].latest[1] = velocity.real, velocity.imag
 
 
 @compiled
@@ -233,24 +235,24 @@ def learn_from_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: i
         if since < options.timing.observable - ROUND_OFF:
             continue
         if hit.is_answered and not hit.is_beyond:
-            off = max(
-                abs(z.velocity[0] - z.drift[0] * since - hit.aim[0]),
-                abs(z.velocity[1] - z.drift[1] * since - hit.aim[1]),
-            )
+            _, velocity, drift = find_motion(z)
+            miss = velocity - drift * since - complex(hit.aim[0], hit.aim[1])
+            off = max(abs(miss.real), abs(miss.imag))
             most = (1.0 + options.response.excess) * plan.deviation
             hit.is_beyond = off > most + options.response.sure * math.sqrt(max(z.P_vv, 0.0))
         flight = since + plan.period  # the velocity before the hit is that of a step before
-        x = z.velocity[0] - hit.before[0] - z.drift[0] * flight
-        y = z.velocity[1] - hit.before[1] - z.drift[1] * flight
+        _, velocity, drift = find_motion(z)
+        change = velocity - complex(hit.before[0], hit.before[1]) - drift * flight
+        x, y = change.real, change.imag
         if hit.commanded > 0.0:
             hit.seen += 1 if hit.ratio == 0.0 else 0
             hit.ratio = math.hypot(x, y) / hit.commanded
         if options.learn and now >= hit.learned_at + options.timing.learn_period - ROUND_OFF:
-            hit.contact.lever = compute_lever(
-                z, body.gyration, hit.contact.angle, hit.contact.normal[0], hit.contact.normal[1]
-            )
+            nx, ny = hit.contact.normal[0], hit.contact.normal[1]
+            hit.contact.lever = compute_lever(z, body.gyration, hit.contact.angle, nx, ny)
             hit.gained = x * hit.contact.normal[0] + y * hit.contact.normal[1]
-            variance = max(z.P_vv - 2.0 * since * z.P_va.real + since * since * z.P_aa, 0.0)
+            variance = z.P_vv - 2.0 * since * z.P_va.real + since * since * z.P_aa
+            variance = max(mix_variance(z, variance, z.P_va - since * z.P_aa), 0.0)
             variance += (
                 memory.velocity_error[k, plan.robots + o]
                 + options.impact_parameters.object_floor * options.impact_parameters.object_floor

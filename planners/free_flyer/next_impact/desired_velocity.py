@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
+from planners.free_flyer.belief.drift import find_drift
 from planners.free_flyer.belief.estimator import compute_variance, extrapolate_flight
 from planners.free_flyer.belief.offset import extrapolate_swing
 from planners.free_flyer.belief.options import Options
@@ -108,7 +109,7 @@ def choose_desired_velocity(
 ) -> tuple[float, float]:
     """Return the velocity object o should have after its coming impact [m/s]."""
     strike, body = memory.strike[k, o], plan.robots + o
-    z, time = memory.filter[k, body], strike.time
+    time, (drift_x, drift_y) = strike.time, find_drift(memory.filter[k, body])
     x, y = find_mass(memory, k, body, time)
     knot, due, last = find_next_knot(plan, memory, k, o, strike.is_inserted)
     target_x, target_y = memory.place[k, knot, 0], memory.place[k, knot, 1]
@@ -119,9 +120,9 @@ def choose_desired_velocity(
         vx = response.velocity[0] + response.gain[0] * (x - response.centre[0])
         vy = response.velocity[1] + response.gain[1] * (y - response.centre[1])
         target_x, target_y = x + vx * duration, y + vy * duration
-        return compute_desired_velocity(x, y, target_x, target_y, duration, z.drift[0], z.drift[1], limit)
+        return compute_desired_velocity(x, y, target_x, target_y, duration, drift_x, drift_y, limit)
     if not last or not options.insert or plan.knot[knot].faces == 0:
-        return compute_desired_velocity(x, y, target_x, target_y, duration, z.drift[0], z.drift[1], limit)
+        return compute_desired_velocity(x, y, target_x, target_y, duration, drift_x, drift_y, limit)
     # The depth that is enough grows with the time that is left, up to the plan's; a plan that says what happens if the
     # object is off may leave less time.
     full = options.aim.full_correction
@@ -133,7 +134,7 @@ def choose_desired_velocity(
     for i in range(options.aim.shares + 1):
         share = i / options.aim.shares
         end_x, end_y = x + share * (target_x - x), y + share * (target_y - y)
-        wish_x, wish_y = compute_desired_velocity(x, y, end_x, end_y, duration, z.drift[0], z.drift[1], limit)
+        wish_x, wish_y = compute_desired_velocity(x, y, end_x, end_y, duration, drift_x, drift_y, limit)
         room = compute_room(plan, memory, k, o, strike.robot, time, wish_x, wish_y)
         score = min(compute_margin(plan, knot, end_x, end_y), enough, room) - options.aim.smallest * share
         if compute_turn(plan, memory, k, o, wish_x, wish_y) < options.aim.same_side:
@@ -141,7 +142,7 @@ def choose_desired_velocity(
         if score > best:
             best, chosen = score, share
     end_x, end_y = x + chosen * (target_x - x), y + chosen * (target_y - y)
-    return compute_desired_velocity(x, y, end_x, end_y, duration, z.drift[0], z.drift[1], limit)
+    return compute_desired_velocity(x, y, end_x, end_y, duration, drift_x, drift_y, limit)
 
 
 @compiled
@@ -188,9 +189,9 @@ def hasten_next_knot(plan: PlanTable, memory: WorldMemory, options: Options, k: 
 
     A flight of duration L against an acceleration a that it compensates leaves the straight way by a L^2 / 8.
     """
-    strike, z = memory.strike[k, o], memory.filter[k, plan.robots + o]
+    strike, (drift_x, drift_y) = memory.strike[k, o], find_drift(memory.filter[k, plan.robots + o])
     knot, due, last = find_next_knot(plan, memory, k, o, strike.is_inserted)
-    drift = math.hypot(z.drift[0], z.drift[1])
+    drift = math.hypot(drift_x, drift_y)
     bend = min(options.aim.bend, 0.5 * plan.knot[knot].depth)
     if last or drift * (due - strike.time) ** 2 <= 8.0 * bend:
         return

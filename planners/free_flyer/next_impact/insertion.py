@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
+from planners.free_flyer.belief.drift import find_drift
 from planners.free_flyer.belief.estimator import compute_variance, extrapolate_flight
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain
 from planners.free_flyer.belief.options import Options
@@ -121,7 +122,7 @@ def choose_robot(
 ) -> int:
     """Return the robot in the best position for an impact on object o at a time, or NO_ROBOT."""
     body = plan.robots + o
-    z = memory.filter[k, body]
+    drift_x, drift_y = find_drift(memory.filter[k, body])
     x, y, vx, vy = extrapolate_flight(memory, k, body, time)
     if not over and time + duration > plan.knot[knot].closes + ROUND_OFF:
         return NO_ROBOT
@@ -131,7 +132,7 @@ def choose_robot(
         target_x, target_y = x + share * (target_x - x), y + share * (target_y - y)
     limit = plan.body[body].speed_limit
     from_x, from_y = find_mass(memory, k, body, time)
-    wish = compute_desired_velocity(from_x, from_y, target_x, target_y, duration, z.drift[0], z.drift[1], limit)
+    wish = compute_desired_velocity(from_x, from_y, target_x, target_y, duration, drift_x, drift_y, limit)
     dx, dy = wish[0] - vx, wish[1] - vy
     change = math.hypot(dx, dy)
     best, found = options.insertion.side, NO_ROBOT

@@ -48,19 +48,10 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     dx, dy, distance = turn_to_centre(plan, memory, options, k, o, time - now, dx, dy)
     if options.walls and distance == plan.body[body].radius:
         dx, dy = turn_off_walls(plan, options, r, body, x, y, dx, dy)
-    z, match_x, match_y = memory.filter[k, body], vx, vy
-    strike.lever = 0.0
-    if z.P_dd > 0.0:
-        # The place that is hit is the geometric centre's, whose velocity along the normal is its own.
-        _, _, sx, sy = extrapolate_swing(memory, k, body, time)
-        vx, vy, match_x, match_y = vx + sx, vy + sy, vx + sx, vy + sy
-    if z.P_dd > 0.0 and (dx != 0.0 or dy != 0.0):
-        size, gyration, heading = math.hypot(dx, dy), plan.body[body].gyration, memory.heading[k, body]
-        ahead = heading.angle + (time - now) * heading.rate
-        nx, ny = dx / size, dy / size
-        strike.lever = compute_lever(z, gyration, ahead, nx, ny)
-    desired = (vx + dx, vy + dy)
     normal = (strike.reference_normal[0], strike.reference_normal[1])
+    centre_vx, centre_vy = vx, vy
+    vx, vy = place_hit(plan, memory, k, o, (vx, vy), (dx, dy))
+    desired = (vx + dx, vy + dy)
     restitution, ratio = find_law(plan, memory, k, r, o)
     mass, reach, limit = plan.body[r].mass, plan.body[r].radius + distance, plan.body[r].speed_limit
     if options.exact:
@@ -68,7 +59,7 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
             (x, y),
             (vx, vy),
             desired,
-            (match_x, match_y),
+            (vx, vy),
             normal,
             mass,
             ratio * mass,
@@ -104,7 +95,8 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     strike.robot_minus[0], strike.robot_minus[1] = solution.robot_minus
     strike.robot_plus[0], strike.robot_plus[1] = solution.robot_plus
     strike.object_minus[0], strike.object_minus[1] = solution.object_minus
-    strike.object_plus[0], strike.object_plus[1] = solution.object_plus
+    strike.object_plus[0] = centre_vx + solution.object_plus[0] - vx
+    strike.object_plus[1] = centre_vy + solution.object_plus[1] - vy
     strike.change = math.hypot(solution.object_plus[0] - vx, solution.object_plus[1] - vy)
     wished = math.hypot(dx, dy)
     strike.share = strike.change / wished if wished > NO_CHANGE else 1.0
@@ -119,6 +111,31 @@ def find_law(plan: PlanTable, memory: WorldMemory, k: int, r: int, o: int) -> tu
     if memory.strike[k, o].is_answered:
         return plan.restitution, plan.body[plan.robots + o].mass / plan.body[r].mass
     return get_pair(memory, k, r, o)
+
+
+@compiled
+def place_hit(
+    plan: PlanTable, memory: WorldMemory, k: int, o: int, velocity: tuple[float, float], change: tuple[float, float]
+) -> tuple[float, float]:
+    """Set the lever of the coming hit on object o; return the velocity of the place that is hit, but for its slip.
+
+    The normal goes through the geometric centre: along it the place is as fast as that. The slip of a turning object's
+    rim is left alone: robots that matched it to leave friction nothing to act on did worse in closed loop.
+
+    Args:
+        velocity: of the centre of mass before it [m/s].
+        change: wished [m/s].
+    """
+    strike, body = memory.strike[k, o], plan.robots + o
+    z, heading, size = memory.filter[k, body], memory.heading[k, body], math.hypot(change[0], change[1])
+    strike.lever = 0.0
+    if z.P_dd == 0.0:
+        return velocity
+    if size > 0.0:
+        angle = heading.angle + (strike.time - memory.time[k]) * heading.rate
+        strike.lever = compute_lever(z, plan.body[body].gyration, angle, change[0] / size, change[1] / size)
+    _, _, sx, sy = extrapolate_swing(memory, k, body, strike.time)
+    return velocity[0] + sx, velocity[1] + sy
 
 
 @compiled
