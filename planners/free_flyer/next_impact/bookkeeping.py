@@ -70,12 +70,14 @@ def start_strikes(plan: PlanTable, memory: WorldMemory, options: Options, k: int
 def find_departure(plan: PlanTable, options: Options, o: int) -> float:
     """Return when object o should be hit first, as the plan says or earlier [s].
 
-    The gain of a first throw is not known. Where the next window closes too soon for a weak one, the object leaves
-    sooner: so that it is still inside its region when the window opens in which it has to be there.
+    The gain of a first throw is not known. Where the next window closes too soon for a weak one, an object that rests
+    leaves sooner: so that it is still inside its region when the window opens in which it has to be there.
     """
     first = plan.first[o]
     here, following, time = plan.knot[first], plan.impact[first].next, plan.impact[first].time
-    if following == NO_IMPACT or here.opens <= 0.0 or here.depth == math.inf:
+    start = plan.body[plan.robots + o].start_velocity
+    moves = start[0] != 0.0 or start[1] != 0.0
+    if moves or following == NO_IMPACT or here.opens <= 0.0 or here.depth == math.inf:
         return time
     there = plan.knot[following]
     way = math.hypot(there.position[0] - here.position[0], there.position[1] - here.position[1])
