@@ -92,7 +92,10 @@ class Timing:
     learn_period: Positive = 0.5  # between looks at what a hit did [s]
     return_seconds: float = 12.0  # longest quintic back to the plan [s]
     haste: Share = 0.8  # share of the time until a window closes that a flight into it takes
-    fast: float = 0.2  # speed of such a flight, at most [m/s]
+    fast: Positive = 0.225  # speed of such a flight, at most [m/s]
+    # Where that is too slow an object may leave where it rests before the window of its stay opens: as it does, the
+    # object is still inside after so large a share of the way to the edge. A throw stronger by 1.3 takes it all.
+    inside: Share = 0.7
     fastest_clock: Positive = 1.5  # plan seconds per second; more would force the end pose within the few seconds left
 
 

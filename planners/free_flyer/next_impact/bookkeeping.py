@@ -51,6 +51,8 @@ def start_strikes(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         while at != NO_IMPACT:
             impact, knot = plan.impact[at], plan.knot[at]
             memory.clock[k, at] = impact.time
+            if before == NO_IMPACT and now == 0.0 and len(plan.response) == 0:
+                memory.clock[k, at] = find_departure(plan, options, o)
             if before != NO_IMPACT and knot.closes < math.inf and len(plan.response) == 0:
                 # Objects usually arrive late: start the flight into a window early enough for a weak throw to arrive.
                 # A plan with responses has reckoned with that.
@@ -67,6 +69,26 @@ def start_strikes(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         calm = now - options.timing.settle if now > 0.0 else -math.inf
         strike.last_contact = strike.looked_at = strike.optimised_at = calm
         await_impact(plan, memory, options, k, o, plan.first[o], now)
+
+
+@compiled
+def find_departure(plan: PlanTable, options: Options, o: int) -> float:
+    """Return when object o should be hit first, as the plan says or earlier [s].
+
+    The gain of a first throw is not known. Where the next window closes too soon for a weak one, an object that rests
+    leaves sooner: so that it is still inside its region when the window opens in which it has to be there.
+    """
+    first = plan.first[o]
+    here, following, time = plan.knot[first], plan.impact[first].next, plan.impact[first].time
+    start = plan.body[plan.robots + o].start_velocity
+    moves = start[0] != 0.0 or start[1] != 0.0
+    if moves or following == NO_IMPACT or here.opens <= 0.0 or here.depth == math.inf:
+        return time
+    there = plan.knot[following]
+    way = math.hypot(there.position[0] - here.position[0], there.position[1] - here.position[1])
+    in_time = there.closes - way / (options.timing.fast * options.timing.haste)
+    inside = here.opens - options.timing.inside * here.depth / options.timing.fast
+    return min(time, max(in_time, inside))
 
 
 @compiled
