@@ -32,9 +32,7 @@ class OraclePolicy:
 
     name = "oracle"
 
-    def __init__(
-        self, scenario: Scenario, plan: Plan | None = None, options: Mapping[str, Any] | None = None
-    ) -> None:
+    def __init__(self, scenario: Scenario, plan: Plan | None = None, options: Mapping[str, Any] | None = None) -> None:
         self._scenario: Any = scenario
         self.expert = make_oracle(scenario, plan, options)
 
