@@ -23,7 +23,6 @@ from impact_envs.free_flyer.schema import (
     RESTITUTION_SPEED,
     FreeFlyerScenario,
 )
-from impact_envs.scenario import load_scenario
 from impact_envs.physics.convex import Disc, Polygon, compute_contact
 from impact_envs.physics.impact import (
     Side,
@@ -32,6 +31,7 @@ from impact_envs.physics.impact import (
     compute_restitution,
     compute_velocity_gain,
 )
+from impact_envs.scenario import load_scenario
 
 FAR = ((-500.0, -500.0), (500.0, 500.0))
 BODY = {"mass": 16.8, "inertia": 0.3, "radius": 0.2, "speed_limit": 10.0}
