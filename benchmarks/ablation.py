@@ -107,7 +107,7 @@ class Args:
     policy: str = "expert"
     """expert, or oracle, who is told all."""
     plans: Path | None = None
-    """Folder of plans SCENARIO.json, and SCENARIO_hard.json with the shortened horizon; made now where there is none."""
+    """Folder of plans SCENARIO.json, and SCENARIO_hard.json of the shortened horizon; made now where there is none."""
     rows: tuple[str, ...] = ()
     """What is played, by the first column; everything without."""
     out: Path | None = None

@@ -55,7 +55,7 @@ class Args:
     told: tuple[str, ...] = PARTS
     """What the oracle is told."""
     plans: Path | None = None
-    """Folder of plans SCENARIO.json, and SCENARIO_hard.json with the shortened horizon; made now where there is none."""
+    """Folder of plans SCENARIO.json, and SCENARIO_hard.json of the shortened horizon; made now where there is none."""
     out: Path | None = None
     """Write the rows here as JSON."""
 

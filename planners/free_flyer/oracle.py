@@ -77,7 +77,7 @@ class Truth:
         self._approach = float(np.mean(speeds)) if speeds else 0.0
         self.told = np.zeros((count, len(scenario.objects)), TOLD)
         self.delay = np.zeros(count, np.int64)  # [control periods]
-        # What the robots did in the last control periods, newest first: accelerations x, y [m/s^2] and turning [rad/s^2].
+        # What the robots did in the last control periods, newest first: accelerations [m/s^2] and turning [rad/s^2].
         self.pushes = np.zeros((count, self._robots, MOST_DELAY + 1, 3))
         self._masses = np.array([scenario.body(name).mass for name in scenario.bodies])
         self._restitution = np.full(count, float(scenario.believed.restitution))

@@ -7,6 +7,7 @@ from impact_envs import list_scenarios, load_scenario
 from impact_envs.domain import find_scenarios
 from impact_envs.errors import ScenarioError
 from impact_envs.free_flyer.schema import DRIFT_X, DRIFT_Y, MASS, RESTITUTION
+from impact_envs.scenario import Uniform
 
 CORRIDOR = next(path for path in find_scenarios() if path.stem == "corridor").read_text()
 
@@ -108,10 +109,23 @@ def test_suites_change_only_the_true_world():
         scenario.suite("mas")
 
 
-def test_hard_suite_tightens_every_deadline():
-    hard = load_scenario("corridor").suite("hard")
-    assert hard.horizon == pytest.approx(60.0)
-    assert hard.specification.horizon == pytest.approx(60.0)
+@pytest.mark.parametrize("suite", ["short", "hard_v0"])
+def test_a_short_suite_tightens_every_deadline(suite):
+    tight = load_scenario("corridor").suite(suite)
+    assert tight.horizon == pytest.approx(60.0)
+    assert tight.specification.horizon == pytest.approx(60.0)
+
+
+def test_hard_keeps_the_deadlines_and_draws_what_it_has():
+    scenario = load_scenario("corridor")
+    hard = scenario.suite("hard")
+    assert hard.specification == scenario.specification
+    assert hard.draw_count > scenario.suite("all").draw_count
+    constant = {"position_noise", "velocity_measured"}
+    changed = {
+        name for name in type(hard.true).model_fields if getattr(hard.true, name) != getattr(scenario.true, name)
+    }
+    assert {name for name in changed if not isinstance(getattr(hard.true, name), Uniform)} == constant
 
 
 def test_draws_stay_in_their_range_and_repeat():
@@ -156,7 +170,7 @@ SMALL = load_scenario("throw_and_catch").override(
 )
 
 
-@pytest.mark.parametrize("suite", ["short", "hard"])
+@pytest.mark.parametrize("suite", ["short", "hard_v0"])
 @pytest.mark.parametrize(
     ("formula", "tight"),
     [
@@ -175,9 +189,9 @@ def test_shortened_formulas_keep_a_sample_in_every_interval(suite, formula, tigh
 @pytest.mark.parametrize("name", list_scenarios())
 def test_shipped_scenarios_are_shortened_by_the_factor_alone(name):
     scenario = load_scenario(name)
-    if "hard" in scenario._suites():
-        hard = scenario.suite("hard")
-        assert hard.specification == scenario.specification.scale_time(hard.horizon / scenario.horizon)
+    for suite in {"short", "hard", "hard_v0"} & scenario._suites().keys():
+        tight = scenario.suite(suite)
+        assert tight.specification == scenario.specification.scale_time(tight.horizon / scenario.horizon)
 
 
 @pytest.mark.parametrize("scale", [np.nan, np.inf, -np.inf, 0, -1, 1.1, "x", True, [1], None])

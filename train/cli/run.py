@@ -27,7 +27,7 @@ class Command:
     scenario: Positional[str]
     """Shipped name or TOML file."""
     policy: str = "expert"
-    """expert, oracle (told the truth), zero, random, a variant of the expert, a shipped policy or a checkpoint folder."""
+    """expert, oracle (told the truth), zero, random, a variant of the expert, a shipped policy or checkpoint folder."""
     seed: int = EVALUATION_SEEDS
     """Of the whole episode."""
     suite: str = "nominal"

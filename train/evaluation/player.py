@@ -72,8 +72,8 @@ def make_policy(
     """Make a policy from its name.
 
     Args:
-        name: ``expert``, ``oracle`` (told the truth), ``zero`` (no control), ``random`` (uniform actions), a variant of the expert (see
-            planners.list_variants), a checkpoint directory, or the name of a shipped checkpoint.
+        name: ``expert``, ``oracle`` (told the truth), ``zero`` (no control), ``random`` (uniform actions), a variant of
+            the expert (see planners.list_variants), a checkpoint directory, or the name of a shipped checkpoint.
         scenario: a shipped name, the path of a TOML file, or a Scenario; experts see only its believed part.
         plan: for the expert to follow; planned now if one is needed and none is given.
         options: of the expert, see planners.make_expert; unused without one.

@@ -479,7 +479,7 @@ def test_corrections_out_of_turn_or_shape_are_refused(scenario: FreeFlyerScenari
 
 def test_plan_of_something_else_is_refused(scenario: FreeFlyerScenario, plan: Plan) -> None:
     with pytest.raises(InputError, match="lasts 30 s, scenario throw_and_catch lasts 18 s"):
-        FreeFlyerExpert(scenario.suite("hard"), plan)
+        FreeFlyerExpert(scenario.suite("short"), plan)
     pair, _ = make_pair()
     with pytest.raises(InputError, match="has a, b, idle, one, two"):
         FreeFlyerExpert(pair, plan)

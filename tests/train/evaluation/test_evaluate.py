@@ -250,7 +250,10 @@ def test_damaged_folders_are_named(short: Scenario, tmp_path: Path) -> None:
         ({"scenarios": ["throw_and_cathc"]}, "did you mean 'throw_and_catch'"),
         ({"scenarios": []}, "no scenario"),
         ({"scenarios": ["corridor", "corridor"]}, "scenario 'corridor' is given twice"),
-        ({"policies": ["exprt"]}, r"policy 'exprt' is unknown; did you mean 'expert'\? choices: expert, zero, random"),
+        (
+            {"policies": ["exprt"]},
+            r"policy 'exprt' is unknown; did you mean 'expert'\? choices: expert, oracle, zero, random",
+        ),
         ({"policies": ["zero", "zero"]}, "policy 'zero' is given twice"),
         ({"policies": []}, "no policy"),
         ({"suites": ["mas"]}, "did you mean 'mass'"),
@@ -340,3 +343,12 @@ def test_ctrl_c_ends_the_workers_soon_and_keeps_what_was_played(tmp_path: Path) 
     assert b"KeyboardInterrupt" in said
     rows = [json.loads(line) for line in journal.read_text().splitlines()]
     assert 0 < len(rows) < 5000
+
+
+def test_the_oracle_is_judged_beside_the_expert_and_refused_where_there_is_none(short: Scenario) -> None:
+    result = evaluate([short], ("expert", "oracle"), 2, suites=("hard",), progress=False)
+    assert list(result.episodes["policy"]) == ["expert", "expert", "oracle", "oracle"]
+    assert not has_expert("zero")
+    assert has_expert("oracle")
+    with pytest.raises(InputError, match="the expert of domain 'floating_manipulator' cannot be told the truth"):
+        evaluate(["floating_manipulator"], ("oracle",), 1, progress=False)

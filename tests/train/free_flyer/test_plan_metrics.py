@@ -79,7 +79,7 @@ def test_evaluation_takes_a_plan_and_an_objective(tmp_path: Path, capsys: pytest
     ("more", "message"),
     [
         (["--objective", "robustness"], "leave out --objective"),
-        (["--suite", "hard"], "the plan lasts 30 s, scenario throw_and_catch lasts 18 s"),
+        (["--suite", "short"], "the plan lasts 30 s, scenario throw_and_catch lasts 18 s"),
         (["--policies", "zero"], "no expert that follows a plan"),
     ],
 )
