@@ -9,7 +9,7 @@ from typing import Any, Literal
 from tyro.conf import Positional
 
 from impact_envs.errors import InputError
-from train.cli.plan import load_plan
+from train.cli.plan import check_plan_options, load_plan
 from train.cli.settings import parse_settings
 from train.evaluation.case import EVALUATION_SEEDS, make_cases
 
@@ -50,6 +50,7 @@ class Command:
 
         settings = parse_settings(self.set)
         cases = make_cases(self.scenarios, self.suite, settings)
+        check_plan_options(self.plan, self.rename, self.force)
         if self.plan is not None:
             self._check_plan()
             plan = load_plan(self.plan, cases[0].scenario, self.rename).admit(self.force)

@@ -193,6 +193,17 @@ class GivenPlan(NamedTuple):
         return self.plan
 
 
+def check_plan_options(plan: Path | None, rename: tuple[str, ...], force: bool) -> None:
+    """Raise if something is said of a plan to execute and there is none.
+
+    Raises:
+        InputError: naming the option.
+    """
+    for option, wanted in (("--rename", rename), ("--force", force)):
+        if wanted and plan is None:
+            raise InputError(f"{option} needs --plan, a plan to execute")
+
+
 def load_plan(path: Path, scenario: Any, rename: tuple[str, ...] = ()) -> GivenPlan:
     """Return the plan of a JSON file, or of a folder of published CSV files, and what it breaks.
 

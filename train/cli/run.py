@@ -12,9 +12,9 @@ from tyro.conf import Positional
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from impact_envs.scenario import Scenario
-from train.cli.plan import load_plan
+from train.cli.plan import check_plan_options, load_plan
 from train.cli.settings import parse_settings
-from train.evaluation.case import EVALUATION_SEEDS, check_settings, make_case
+from train.evaluation.case import EVALUATION_SEEDS, check_settings, has_expert, make_case
 from train.pictures.file import check_picture_path
 
 LEAST_FRAMES = 200  # of a film, so that a short episode is seen slowly
@@ -91,9 +91,9 @@ class Command:
         """Refuse what cannot be played or written before anything is played; returns the film, None without one."""
         if self.seed < 0:
             raise InputError(f"seed {self.seed} is negative; choices: 0, 1, 2, ...")
-        for option, wanted in (("--rename", self.rename), ("--force", self.force)):
-            if wanted and self.plan is None:
-                raise InputError(f"{option} needs --plan, a plan to execute")
+        check_plan_options(self.plan, self.rename, self.force)
+        if self.plan and not has_expert(self.policy):
+            raise InputError(f"--plan {self.plan}: policy {self.policy} has no expert that follows a plan")
         if self.plot:
             check_picture_path(self.plot)
             if find_part("train", scenario.domain, "PICTURE") is None:

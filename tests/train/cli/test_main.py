@@ -120,6 +120,12 @@ def test_demo_does_the_main_job(capsys, tmp_path, monkeypatch):
 
 
 BAD = {
+    "rename, no plan": (("evaluate", "throw_and_catch", "--rename", "a=b"), ("--rename needs --plan",)),
+    "force, no plan": (("evaluate", "throw_and_catch", "--force"), ("--force needs --plan",)),
+    "plan, no expert": (
+        ("run", "throw_and_catch", "--policy", "zero", "--plan", "plan.json"),
+        ("policy zero has no expert that follows a plan",),
+    ),
     "scenario": (("plan", "coridor"), ["coridor", "corridor"]),
     "file": (("plan", "no/such.toml"), ["no/such.toml"]),
     "option": (("plan", "corridor", "--objectve", "robustness"), ["--objectve"]),
