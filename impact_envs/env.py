@@ -115,7 +115,7 @@ class ImpactEnv(ParallelEnv):
         InputError: ``max_cycles`` is no whole number from 1, or ``render_mode`` is unknown.
     """
 
-    metadata = {
+    metadata: dict[str, Any] = {
         "name": "impact_envs",
         "render_modes": ["human", "rgb_array"],
         "render_fps": 30,

@@ -1,8 +1,8 @@
 """The expert that is told the truth of its episode, one world or many: what any learning can gain is bounded by it.
 
-It sees what the expert sees, and is the expert: only its belief opens with the true restitution, mass and drift of
-every object instead of the believed ones, certain, and its readings are those of centres of mass, and of now. Whoever
-judges it hands over the drawn numbers.
+It sees what the expert sees, and is the expert: only its belief opens with the true restitution, mass, drift and centre
+of mass of every object instead of the believed ones, certain, and it knows which of its controls a reading is behind.
+Whoever judges it hands over the drawn numbers.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from impact_envs.compiled import compiled, inlined
+from impact_envs.compiled import compiled
 from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.engine import turn_drift
 from impact_envs.free_flyer.observation import join_observations
@@ -31,9 +31,10 @@ from impact_envs.free_flyer.schema import (
     FreeFlyerScenario,
     Physics,
 )
-from impact_envs.free_flyer.sensing import BODY_SIZE, COS, OMEGA, SIN, TIME, VX, VY, X, Y, find_shared_place
+from impact_envs.free_flyer.sensing import TIME, find_shared_place
 from impact_envs.physics.impact import compute_restitution
 from planners.free_flyer.belief.impact_parameters import find_row
+from planners.free_flyer.belief.offset import LEAST
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory
@@ -41,8 +42,7 @@ from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
 from planners.plan import Plan
 
-# What can be told. The offset is told by readings of the centre of mass; where a filter has states for it, open them
-# in `open_belief` instead.
+# What can be told.
 PARTS = ("restitution", "mass", "offset", "drift", "delay")
 CERTAIN = 1e-3  # standard deviation of a restitution, or of the logarithm of a mass, that is told
 # What one object's truth is, as compiled code takes it.
@@ -105,15 +105,15 @@ class Truth:
         self._waits[worlds] = True
 
     def read(self, joint: np.ndarray, horizon: float, memory: WorldMemory) -> None:
-        """Turn readings into those of centres of mass, now; turn the drifts that are told, in place.
+        """Turn the drifts that are told into those of now, and take the pushes that a reading is behind.
 
         Args:
             joint: everything measured once, shape (N, size).
             horizon: [s].
             memory: of the expert.
         """
-        turns = "drift" in self._parts
-        read_truth(self.told, self._period, horizon, joint, memory.filter, turns)
+        if "drift" in self._parts:
+            turn_drifts(self.told, self._period, horizon, joint, memory.filter)
         late = self.pushes[np.arange(len(joint)), :, self.delay]
         memory.push[:], memory.spin[:] = late[:, :, :2], late[:, :, 2]
 
@@ -145,8 +145,8 @@ class Truth:
                         memory.pair_covariance[k, :, place, :] = memory.pair_covariance[k, :, :, place] = 0.0
                         memory.pair_covariance[k, :, place, place] = CERTAIN * CERTAIN
 
-    def _open_filters(self, plan: PlanTable, memory: WorldMemory, options: Options, k: int) -> None:
-        """Open the filters of world k's objects at their centres of mass, with their drifts."""
+    def _open_filters(self, plan: PlanTable, memory: WorldMemory, options: Any, k: int) -> None:
+        """Open the filters of world k's objects with their centres of mass and drifts."""
         sure, slow = options["estimation"]["start_position"], options["estimation"]["start_velocity"]
         for o in range(self.told.shape[1]):
             i = self._robots + o
@@ -155,9 +155,10 @@ class Truth:
                 cos, sin, rate = math.cos(body["heading"]), math.sin(body["heading"]), body["start_rate"]
                 dx, dy = told["offset"]
                 x, y = cos * dx - sin * dy, sin * dx + cos * dy
-                z["position"] = body["start"] + (x, y)
-                z["velocity"] = body["start_velocity"] + (-rate * y, rate * x)
+                z["position"], z["velocity"] = body["start"], body["start_velocity"] + (-rate * y, rate * x)
                 z["P_pp"], z["P_vv"], z["P_pv"] = sure * sure + body["spread"] ** 2 / 3.0, slow * slow, 0.0
+                z["offset"], z["P_dd"] = -told["offset"], LEAST
+                z["P_pd"] = z["P_vd"] = z["P_ad"] = 0.0
                 memory.track[k, i]["doubted"] = -math.inf
             if "drift" in self._parts:
                 z["drift"] = told["drift"]
@@ -165,42 +166,26 @@ class Truth:
 
 
 @compiled
-def read_truth(
-    told: np.ndarray, period: float, horizon: float, joint: np.ndarray, filters: np.ndarray, turns: bool
-) -> None:
-    """Turn the readings of N worlds into those of centres of mass, and the told drifts into those of now.
+def turn_drifts(told: np.ndarray, period: float, horizon: float, joint: np.ndarray, filters: np.ndarray) -> None:
+    """Turn the told drifts of N worlds into those of now.
 
     Args:
         told: TOLD of every object, shape (N, m).
         period: control period [s].
         horizon: [s].
-        joint: everything measured once, changed in place, shape (N, 7 n + r + 3).
+        joint: everything measured once, shape (N, 7 n + r + 3).
         filters: FILTER of every body, whose drifts are written, shape (N, n).
-        turns: whether drifts are told.
     """
     bodies = filters.shape[1]
     robots = bodies - told.shape[1]
     clock = find_shared_place(bodies, robots) + TIME
     for k in range(joint.shape[0]):
         for o in range(told.shape[1]):
-            read_mass_centre(told[k, o], k, BODY_SIZE * (robots + o), joint)
             steps = int(joint[k, clock] * horizon / period + 0.5)
-            if turns and steps > 0:
+            if steps > 0:
                 drift = told[k, o].drift
                 x, y = turn_drift(drift[0], drift[1], told[k, o].turn, steps, period)
                 filters[k, robots + o].drift[0], filters[k, robots + o].drift[1] = x, y
-
-
-@inlined
-def read_mass_centre(told: np.record, k: int, at: int, joint: np.ndarray) -> None:
-    """Turn the reading of an object's geometric centre into that of its centre of mass: p + R d, v + omega x R d."""
-    dx, dy = told.offset[0], told.offset[1]
-    cos, sin, rate = joint[k, at + COS], joint[k, at + SIN], joint[k, at + OMEGA]
-    x, y = cos * dx - sin * dy, sin * dx + cos * dy
-    joint[k, at + X] += x
-    joint[k, at + Y] += y
-    joint[k, at + VX] -= rate * y
-    joint[k, at + VY] += rate * x
 
 
 class FreeFlyerOracle(FreeFlyerExpert):
@@ -225,7 +210,8 @@ class FreeFlyerOracle(FreeFlyerExpert):
 
     def tell(self, physics: Physics) -> None:
         """Hand over the truth of the coming episode, as ``draw`` returns it."""
-        batch = Physics(*(getattr(physics, name)[None] for name in Physics._fields[:-1]), physics.true)
+        parts = {name: part[None] for name, part in physics._asdict().items() if name != "true"}
+        batch = Physics(**parts, true=physics.true)
         self._truth.tell(np.zeros(1, int), batch)
 
     def _join(self, observations: Mapping[str, np.ndarray]) -> None:
