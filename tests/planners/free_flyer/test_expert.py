@@ -443,7 +443,7 @@ def test_each_variant_has_one_part_more_than_the_last() -> None:
     for part, fewer, more in zip(order, [weights, *rest], rest, strict=False):
         assert more - fewer == {part}
         assert fewer < more
-    assert replace(VARIANTS["with_reoptimisation"], plan_anew=True) == EXPERT
+    assert replace(VARIANTS["with_offset"], plan_anew=True) == EXPERT
 
 
 def test_unknown_variant_is_refused_with_the_choices(scenario: FreeFlyerScenario, plan: Plan) -> None:
