@@ -488,3 +488,18 @@ def test_impacts_do_not_come_after_those_beyond_the_most() -> None:
     loop.see(CRACKLE, (2.0, 22.0))
     loop.optimise()
     assert (np.diff(loop.clock[1 : MOST_KNOTS + 3]) >= SCALES.gap - 1e-7).all()
+
+
+def test_legs_of_a_hasty_plan_stay_fast() -> None:
+    """The second leg is planned with 0.4 m/s; were it slower, the impact before would come before its region."""
+    hasty: tuple[Hit, ...] = (
+        (HIT, "snap", "pop", (1.0, 0.0)),
+        (30.0, "crackle", "pop", (5.0, 0.0)),
+        (90.0, "snap", "pop", (-19.0, 0.0)),
+    )
+    loop = Loop("F[0,100] (pop.x >= 4.5 & pop.x <= 5.5) & G[100,100] pop.x <= -18.5", hasty)
+    loop.fly(0.18)  # instead of 0.2 m/s
+    assert loop.optimise()
+    assert 1.0 + 0.18 * (loop.clock[1] - HIT) >= 4.5
+    needed = (loop.place[1, 0] - loop.place[2, 0]) / (loop.clock[2] - loop.clock[1])
+    assert FASTEST < needed <= EXPERT.aim.hurry * 0.4
