@@ -166,13 +166,30 @@ def check_run(args: Args) -> None:
                 raise InputError(f"{held}: was made with {key} {before.get(key)}; cannot be resumed with {now[key]}")
 
 
+def check_evaluations(checkpoint: Path, evaluations: list[dict[str, Any]]) -> None:
+    """Raise unless evaluations of a resumed run can be compared with new ones.
+
+    Args:
+        checkpoint: where they were read.
+        evaluations: as read.
+
+    Raises:
+        InputError: one lacks a number, or has none there.
+    """
+    for place, evaluation in enumerate(evaluations):
+        for name in ("steps", "success_rate", "difference_median"):
+            if type(evaluation.get(name)) not in (int, float):
+                where = f"{checkpoint}: key 'evaluations.{place}'"
+                raise InputError(f"{where}: {name} = {evaluation.get(name)!r:.60}: a number is needed")
+
+
 def last_checkpoint(out: Path) -> Path | None:
     """Return the newest checkpoint of a run, None if there is none.
 
     Args:
         out: folder of the run.
     """
-    folders = [path for path in (out / "checkpoints").glob("*") if path.name.isdigit()]
+    folders = [path for path in (out / "checkpoints").glob("*") if path.name.isdecimal()]
     return max(folders, key=lambda path: int(path.name), default=None)
 
 
@@ -268,6 +285,7 @@ class Run:
             checkpoint = last_checkpoint(args.out)
             assert checkpoint is not None
             self.evaluations = load_training(checkpoint, model, envs).evaluations
+            check_evaluations(checkpoint, self.evaluations)
         state = np.random.SeedSequence([args.seed, model.num_timesteps]).generate_state(2)
         set_random_seed(int(state[0]))
         envs.seed(int(state[1]) % (TRAINING_SEEDS - args.n_envs))
