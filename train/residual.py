@@ -135,9 +135,12 @@ def check_args(args: Args) -> None:
         if getattr(args, name) < low:
             raise InputError(f"{name} {getattr(args, name)} is too small; choices: {low}, {low + 1}, ...")
     sb3.check_algorithm(args.algo)
-    for name, low, high in (("learning_rate", 0.0, 1.0), ("log_std", -20.0, 2.0)):  # SAC's own limits of the deviation
-        if not low <= (value := getattr(args, name)) <= high:
-            raise InputError(f"{name} {value:g}: choices: from {low:g} to {high:g}")
+    for name, lowest, highest in (
+        ("learning_rate", 0.0, 1.0),
+        ("log_std", -20.0, 2.0),
+    ):  # of the deviation as SAC has it
+        if not lowest <= (value := getattr(args, name)) <= highest:
+            raise InputError(f"{name} {value:g}: choices: from {lowest:g} to {highest:g}")
     if args.rollout % args.n_envs:
         raise InputError(f"rollout {args.rollout} is not a multiple of n_envs {args.n_envs}")
     if not args.hidden or min(args.hidden) < 1:
