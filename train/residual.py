@@ -135,6 +135,7 @@ def check_args(args: Args) -> None:
         if getattr(args, name) < low:
             raise InputError(f"{name} {getattr(args, name)} is too small; choices: {low}, {low + 1}, ...")
     sb3.check_algorithm(args.algo)
+    # The deviation's limits are those of SAC.
     for name, lowest, highest in (
         ("learning_rate", 0.0, 1.0),
         ("log_std", -20.0, 2.0),
