@@ -135,11 +135,8 @@ def check_args(args: Args) -> None:
         if getattr(args, name) < low:
             raise InputError(f"{name} {getattr(args, name)} is too small; choices: {low}, {low + 1}, ...")
     sb3.check_algorithm(args.algo)
-    # The deviation's limits are those of SAC.
-    for name, lowest, highest in (
-        ("learning_rate", 0.0, 1.0),
-        ("log_std", -20.0, 2.0),
-    ):  # of the deviation as SAC has it
+    # The limits of the deviation are SAC's own.
+    for name, lowest, highest in (("learning_rate", 0.0, 1.0), ("log_std", -20.0, 2.0)):
         if not lowest <= (value := getattr(args, name)) <= highest:
             raise InputError(f"{name} {value:g}: choices: from {lowest:g} to {highest:g}")
     if args.rollout % args.n_envs:
