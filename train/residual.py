@@ -135,8 +135,8 @@ def check_args(args: Args) -> None:
         if getattr(args, name) < low:
             raise InputError(f"{name} {getattr(args, name)} is too small; choices: {low}, {low + 1}, ...")
     sb3.check_algorithm(args.algo)
-    ranges = {"learning_rate": (0.0, 1.0), "log_std": (-20.0, 2.0)}  # the second: SAC's own of the deviation
-    for name, (lowest, highest) in ranges.items():
+    # The limits of the deviation are SAC's own.
+    for name, lowest, highest in (("learning_rate", 0.0, 1.0), ("log_std", -20.0, 2.0)):
         if not lowest <= (value := getattr(args, name)) <= highest:
             raise InputError(f"{name} {value:g}: choices: from {lowest:g} to {highest:g}")
     if args.rollout % args.n_envs:
@@ -167,13 +167,30 @@ def check_run(args: Args) -> None:
                 raise InputError(f"{held}: was made with {key} {before.get(key)}; cannot be resumed with {now[key]}")
 
 
+def check_evaluations(checkpoint: Path, evaluations: list[dict[str, Any]]) -> None:
+    """Raise unless evaluations of a resumed run can be compared with new ones.
+
+    Args:
+        checkpoint: where they were read.
+        evaluations: as read.
+
+    Raises:
+        InputError: one lacks a number, or has none there.
+    """
+    for place, evaluation in enumerate(evaluations):
+        for name in ("steps", "success_rate", "difference_median"):
+            if type(evaluation.get(name)) not in (int, float):
+                where = f"{checkpoint}: key 'evaluations.{place}'"
+                raise InputError(f"{where}: {name} = {evaluation.get(name)!r:.60}: a number is needed")
+
+
 def last_checkpoint(out: Path) -> Path | None:
     """Return the newest checkpoint of a run, None if there is none.
 
     Args:
         out: folder of the run.
     """
-    folders = [path for path in (out / "checkpoints").glob("*") if path.name.isdigit()]
+    folders = [path for path in (out / "checkpoints").glob("*") if path.name.isdecimal()]
     return max(folders, key=lambda path: int(path.name), default=None)
 
 
@@ -269,6 +286,7 @@ class Run:
             checkpoint = last_checkpoint(args.out)
             assert checkpoint is not None
             self.evaluations = load_training(checkpoint, model, envs).evaluations
+            check_evaluations(checkpoint, self.evaluations)
         state = np.random.SeedSequence([args.seed, model.num_timesteps]).generate_state(2)
         set_random_seed(int(state[0]))
         envs.seed(int(state[1]) % (TRAINING_SEEDS - args.n_envs))

@@ -178,6 +178,53 @@ def test_training_state_of_another_network_is_refused(tmp_path: Path) -> None:
         load_training(tmp_path, *make_model("sac"))
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("step", np.zeros((), np.float32), "'policy.optimizer/3/step' holds a value below 1"),
+        ("step", np.zeros((0,), np.float32), r"'policy.optimizer/3/step' is float32 \[0\], expected float32 \[\]"),
+        ("exp_avg", None, "'policy.optimizer/3/exp_avg' is missing"),
+        ("exp_avg_sq", -1.0, "'policy.optimizer/3/exp_avg_sq' holds a value below 0"),
+        ("more", np.zeros(1), "'policy.optimizer/3/more' is unknown"),
+    ],
+)
+def test_moments_that_adam_cannot_have_are_refused(tmp_path: Path, name: str, value: Any, message: str) -> None:
+    model, envs = make_model("ppo")
+    model.learn(32)
+    save_training(tmp_path, model, envs, {}, [])
+    path, key = tmp_path / "training.safetensors", f"policy.optimizer/3/{name}"
+    tensors = load_file(path)
+    old = tensors.pop(key, None)
+    if value is not None:
+        tensors[key] = value if old is None or isinstance(value, np.ndarray) else np.full_like(old, value)
+    save_file(tensors, path)
+    description = path.with_suffix(".json")
+    description.write_text(json.dumps(json.loads(description.read_text()) | {"weights_digest": None}))
+    with pytest.raises(InputError, match=message):
+        load_training(tmp_path, *make_model("ppo"))
+
+
+def test_groups_of_another_optimiser_are_refused_but_for_the_learning_rate(tmp_path: Path) -> None:
+    model, envs = make_model("ppo")
+    save_training(tmp_path, model, envs, {}, [])
+    path = tmp_path / "training.json"
+    right = json.loads(path.read_text())
+    for changes, message in (
+        ({"params": [0, 1]}, r"params is \[0, 1\], expected"),
+        ({"params": [{}]}, "params is .*, expected"),
+        ({"betas": [0.9]}, r"betas is \[0.9\], expected \[0.9, 0.999\]"),
+        ({"eps": "a\nb"}, "eps is "),
+    ):
+        group = right["param_groups"]["policy.optimizer"][0] | changes
+        path.write_text(json.dumps(right | {"param_groups": {"policy.optimizer": [group]}}))
+        with pytest.raises(InputError, match=message) as caught:
+            load_training(tmp_path, *make_model("ppo"))
+        assert str(caught.value).isprintable()
+    group = right["param_groups"]["policy.optimizer"][0] | {"lr": 1.0}
+    path.write_text(json.dumps(right | {"param_groups": {"policy.optimizer": [group]}}))
+    load_training(tmp_path, *make_model("ppo"))
+
+
 def edit_json(change: Callable[[dict[str, Any]], object]) -> Callable[[Path], None]:
     def edit(folder: Path) -> None:
         data = json.loads((folder / "policy.json").read_text())

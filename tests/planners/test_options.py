@@ -46,6 +46,9 @@ def test_no_number_is_below_its_least_or_above_its_greatest(name):
         ("dual_arm_grasp", "controller.dwell", 0.0),
         ("dual_arm_grasp", "prediction.heights", 1),
         ("throw_and_catch", "aim.shares", math.nan),
+        ("throw_and_catch", "timing.replan_period", 10**400),
+        ("throw_and_catch", "retiming.candidates", 10**4000),
+        ("throw_and_catch", "insertion.leads", [5.0] * 7 + [10**400]),
     ],
 )
 def test_what_would_break_the_expert_is_refused(name, option, value):

@@ -13,6 +13,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,6 +81,10 @@ class Kill:
     outlived: float
     code: int | None
 
+    def __str__(self) -> str:
+        numbers = f"{self.moment:.2f} | {self.before} | {self.after} | {self.outlived:.2f} | {self.code}"
+        return f"| {self.what} | {numbers} |"
+
 
 class Chaos:
     """Kill the processes of a command again and again, and go on with what they left.
@@ -87,10 +92,11 @@ class Chaos:
     Args:
         folder: for scripts and results.
         rng: decides on the moments.
+        tell: called with every kill.
     """
 
-    def __init__(self, folder: Path, rng: random.Random) -> None:
-        self.folder, self._rng = folder, rng
+    def __init__(self, folder: Path, rng: random.Random, tell: Callable[[Kill], None] = lambda kill: None) -> None:
+        self.folder, self._rng, self._tell = folder, rng, tell
         self.kills: list[Kill] = []
 
     def make_script(self, name: str, code: str) -> Path:
@@ -140,6 +146,7 @@ class Chaos:
             run.communicate()
         assert count() >= before >= began
         self.kills.append(Kill(what, moment, before, count(), outlived, run.returncode))
+        self._tell(self.kills[-1])
         return True
 
 
@@ -226,29 +233,19 @@ def kill_trainings(chaos: Chaos, parents: int) -> None:
     assert not list((out / "checkpoints").glob(".*"))
 
 
-def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
-    chaos = Chaos(tmp_path, random.Random(SEED))
+def kill_all(chaos: Chaos) -> None:
+    """Kill twenty times."""
     kill_evaluations(chaos, 6, 4)
     kill_planning(chaos, 3, 3)
     kill_trainings(chaos, 4)
+
+
+def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
+    chaos = Chaos(tmp_path, random.Random(SEED))
+    kill_all(chaos)
     assert len(chaos.kills) == 20
 
 
-def main() -> None:
-    """Print the table of the kills."""
-    with tempfile.TemporaryDirectory() as folder:
-        chaos = Chaos(Path(folder), random.Random(SEED))
-        try:
-            kill_evaluations(chaos, 6, 4)
-            kill_planning(chaos, 3, 3)
-            kill_trainings(chaos, 4)
-        finally:
-            for number, kill in enumerate(chaos.kills, start=1):
-                print(
-                    f"| {number} | {kill.what} | {kill.moment:.2f} | {kill.before} | {kill.after} "
-                    f"| {kill.outlived:.2f} | {kill.code} |"
-                )
-
-
 if __name__ == "__main__":
-    main()
+    with tempfile.TemporaryDirectory() as name:
+        kill_all(Chaos(Path(name), random.Random(SEED), lambda kill: print(kill, flush=True)))

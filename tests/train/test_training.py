@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 import tyro
 from safetensors.numpy import load_file
 
@@ -23,10 +24,14 @@ from agents.actor import load_policy
 from impact_envs import InputError, load_scenario, parallel_env, rollout
 from impact_envs.rollout import Diagnostics
 from planners import make_expert
+from tests.agents.target import make_model
 from train import residual
-from train.residual import Args, last_checkpoint, main
+from train.evaluation.errors import Diverged
+from train.residual import Args, check_evaluations, last_checkpoint, main
+from train.watch import learn
 
 ROOT = Path(__file__).parents[2]
+SCORED = {"steps": 0, "success_rate": 1.0, "difference_median": 0.0}
 
 
 class Pusher:
@@ -218,6 +223,9 @@ def test_the_real_expert_is_trained(tmp_path: Path) -> None:
         ({"hidden": ()}, r"hidden \[\]"),
         ({"suite": "restitutoin"}, "did you mean 'restitution'"),
         ({"resume": True}, "holds no checkpoint to resume from"),
+        ({"learning_rate": float("nan")}, "learning_rate nan: choices: from 0 to 1"),
+        ({"learning_rate": -1e-3}, "learning_rate -0.001: choices: from 0 to 1"),
+        ({"log_std": float("inf")}, "log_std inf: choices: from -20 to 2"),
     ],
 )
 def test_bad_arguments_are_one_line(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
@@ -239,6 +247,25 @@ def test_a_run_is_neither_overwritten_nor_resumed_as_another(pusher: type[Pusher
     weights.write_bytes(weights.read_bytes()[:100])
     with pytest.raises(InputError, match=r"training\.safetensors: not a safetensors file"):
         main(make_args(tmp_path, resume=True))
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_a_training_that_diverges_says_so(algorithm: str) -> None:
+    model, _ = make_model(algorithm)
+    with torch.no_grad():
+        for parameter in model.policy.parameters():
+            parameter.fill_(1e38)
+    with pytest.raises(Diverged, match=r"training diverged after .*; try a smaller learning_rate than") as caught:
+        learn(model, 64)
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    "evaluation", [{}, {"steps": 8}, {"steps": "8", "success_rate": 0.5, "difference_median": 0.0}]
+)
+def test_evaluations_that_cannot_be_compared_are_refused(evaluation: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"runs/00000008: key 'evaluations\.1': "):
+        check_evaluations(Path("runs/00000008"), [SCORED, evaluation])
 
 
 def test_every_argument_is_a_documented_option(capsys: pytest.CaptureFixture[str]) -> None:

@@ -133,6 +133,8 @@ BAD = {
     "negative seed": (("run", "corridor", "--seed", "-1"), ["seed -1"]),
     "set key": (("run", "corridor", "--set", "true.restitutoin=0.5"), ["restitutoin", "restitution"]),
     "set form": (("run", "corridor", "--set", "true.restitution"), ["KEY=VALUE"]),
+    "set digits": (("run", "corridor", "--set", "true.restitution=" + "1" * 5000), ["restitution", "too many digits"]),
+    "set depth": (("run", "corridor", "--set", "true.restitution=" + "[" * 5000), ["restitution", "nested too deeply"]),
     "set option": (("run", "corridor", "--set", "expert.retmie=false"), ["expert.retmie", "did you mean 'retime'"]),
     "set option kind": (("evaluate", "corridor", "--set", "expert.retime=3"), ["expert.retime", "3"]),
     "set of no expert": (

@@ -230,6 +230,18 @@ def test_one_plan_serves_all_seeds_and_suites_of_one_belief(monkeypatch: pytest.
     assert not has_expert("random")
 
 
+def test_a_refused_journal_stays_as_it_is(short: Scenario, tmp_path: Path) -> None:
+    """Its last line too, which a kill cut off and which would be dropped otherwise."""
+    evaluate([short], ("zero",), 3, out=tmp_path, progress=False)
+    journal = tmp_path / "rows.jsonl"
+    lines = journal.read_text().splitlines(keepends=True)
+    journal.write_text(lines[0] + "{}\n" + lines[2][:50])
+    before = journal.read_bytes()
+    with pytest.raises(InputError, match="line 2 is not an episode"):
+        evaluate([short], ("zero",), 3, out=tmp_path, progress=False)
+    assert journal.read_bytes() == before
+
+
 def test_damaged_folders_are_named(short: Scenario, tmp_path: Path) -> None:
     evaluate([short], ("zero",), 2, out=tmp_path, progress=False)
     journal = tmp_path / "rows.jsonl"
