@@ -309,12 +309,13 @@ def test_missing_directory_is_one_line(tmp_path):
         write_report("nowhere")
 
 
-def test_replay_with_missing_samples_is_refused(evaluation, tmp_path):
+@pytest.mark.parametrize("signal", ["pop.x", "pop.vy"])
+def test_replay_with_missing_samples_is_refused(evaluation, tmp_path, signal):
     copy = tmp_path / "copy"
     shutil.copytree(evaluation, copy)
     path = copy / "replays" / f"throw__nominal__0__{SEED}.json"
     replay = json.loads(path.read_text())
-    replay["signals"]["pop.x"].pop()
+    replay["signals"][signal] = [0.0]
     path.write_text(json.dumps(replay))
     with pytest.raises(InputError, match="301 samples each"):
         write_report(copy)
