@@ -143,7 +143,7 @@ def read_evaluation(directory: str | Path) -> Evaluation:
         raise InputError(f"evaluation '{directory}' is not a directory; `impact evaluate ... --out DIR` makes one")
     manifest = read_record(Manifest, directory / "manifest.json")
     summary = read_record(Summary, directory / "summary.json")
-    _check_policies(manifest, summary, directory)
+    _check_manifest(manifest, summary, directory)
     episodes = _read_episodes(directory / "rows.parquet")
     replays = [_read_replay(path) for path in sorted((directory / "replays").glob("[!.]*.json"))]
     # A directory that was used before may hold replays of other policies or seeds.
@@ -153,8 +153,14 @@ def read_evaluation(directory: str | Path) -> Evaluation:
     return Evaluation(manifest, summary, episodes, tuple(found[key] for key in keys if key in found), written)
 
 
-def _check_policies(manifest: Manifest, summary: Summary, directory: Path) -> None:
-    """Raise unless the manifest has every policy of the summary."""
+def _check_manifest(manifest: Manifest, summary: Summary, directory: Path) -> None:
+    """Raise unless the manifest has every case and policy of the summary."""
+    cases = [f"{case.name} under {case.suite}" for case in manifest.cases]
+    for row in summary.rows:
+        if (case := f"{row.scenario} under {row.suite}") not in cases:
+            raise InputError(
+                f"evaluation file {directory / 'manifest.json'}: cases lack {case}; {choices(case, cases)}"
+            )
     named = [row.policy for row in summary.rows] + [name for pair in summary.paired for name in (pair.a, pair.b)]
     for name in named:
         if name not in manifest.policies:

@@ -317,12 +317,13 @@ def test_replays_of_policies_with_a_path_for_a_name_stay_in_their_folder(tmp_pat
     assert all(path.is_relative_to(tmp_path.resolve()) and len(path.name) < 255 for path in paths)
 
 
-def test_a_manifest_without_a_policy_of_the_summary_is_named(short: Scenario, tmp_path: Path) -> None:
+def test_a_manifest_without_a_policy_or_a_case_of_the_summary_is_named(short: Scenario, tmp_path: Path) -> None:
     evaluate([short], ("zero", "random"), 1, out=tmp_path, progress=False)
     manifest = json.loads((tmp_path / "manifest.json").read_text())
-    (tmp_path / "manifest.json").write_text(json.dumps(manifest | {"policies": ["zero"]}))
-    with pytest.raises(InputError, match=r"manifest\.json: policies lack 'random'"):
-        read_evaluation(tmp_path)
+    for damage, words in (({"policies": ["zero"]}, "policies lack 'random'"), ({"cases": []}, "cases lack .* nominal")):
+        (tmp_path / "manifest.json").write_text(json.dumps(manifest | damage))
+        with pytest.raises(InputError, match=rf"manifest\.json: {words}"):
+            read_evaluation(tmp_path)
 
 
 @pytest.mark.slow
