@@ -62,6 +62,8 @@ def avoid_bodies(
             if excess > 0.0:
                 slack, changed = max(slack, excess), True
                 ax, ay = reduce_closing(ax, ay, nx, ny, excess / h, most)
+        if slack == 0.0:  # a further sweep would change nothing
+            break
     memory.counts[k].avoided += 1 if changed else 0
     return ax, ay, slack
 
