@@ -439,7 +439,7 @@ def test_each_variant_has_one_part_more_than_the_last() -> None:
     assert paper == weights == set()
     assert replace(VARIANTS["paper_expert"], weights=EXPERT.weights) == VARIANTS["with_weights"]
     assert VARIANTS["paper_expert"].weights == VARIANTS["one_replan"].weights == PUBLISHED_WEIGHTS
-    order = ["exact", "avoid", "learn", "retime", "drift", "insert", "reoptimise", "plan_anew"]
+    order = ["exact", "avoid", "learn", "retime", "drift", "insert", "reoptimise", "offset", "plan_anew"]
     for part, fewer, more in zip(order, [weights, *rest], rest, strict=False):
         assert more - fewer == {part}
         assert fewer < more
