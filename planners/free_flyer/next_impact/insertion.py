@@ -160,7 +160,7 @@ def choose_robot(
         speed = change / compute_pair_gain(memory, k, r, o)
         limit = plan.body[r].speed_limit
         if max(abs(vx + speed * nx), abs(vy + speed * ny)) > limit:
-            continue  # its two-body problem has no solution
+            continue  # too slow to meet the object as it flies and to push it
         reachable = is_reachable(plan, memory, options, k, r, px, py, vx + speed * nx, vy + speed * ny, time - now)
         if inside and reachable and cosine > best:
             best, found = cosine, r
