@@ -369,8 +369,8 @@ class FreeFlyerScenario(Scenario):
         robot, channel, sign = (which * (robots, 2, 2)).astype(int).T
         gains[np.arange(worlds), robot, channel, sign] *= weakest[:, 0]
         if self.true.thruster_fade != 0.0:
-            lost, *which = np.moveaxis(drawn["thruster_fade"].reshape(worlds, robots, 3), 2, 0)
-            channel, sign = (2 * np.array(which)).astype(int)
+            lost, *places = np.moveaxis(drawn["thruster_fade"].reshape(worlds, robots, 3), 2, 0)
+            channel, sign = (2 * np.array(places)).astype(int)
             fades[np.arange(worlds)[:, None], np.arange(robots), channel, sign] = lost / self.horizon
         return np.concatenate([part.reshape(worlds, robots, -1) for part in (gains, fades)], axis=2)
 
