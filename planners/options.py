@@ -13,6 +13,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, get_type_hints
 
 from impact_envs.errors import InputError, choices
 
+LARGEST = 10**18  # of a whole number: larger ones are no float's, and no array's
 Options = TypeVar("Options")
 
 
@@ -120,6 +121,8 @@ def _check_limits(name: str, value: Any, present: Any, limits: Limits) -> None:
 
 def _convert(name: str, value: Any, present: Any) -> Any:
     """Return a value in the kind of the present one: a whole number may stand for a real one, a list for a tuple."""
+    if isinstance(value, int) and abs(value) > LARGEST:
+        raise InputError(f"{name} is a number of more than {len(str(LARGEST)) - 1} digits; its value is {present!r}")
     if isinstance(present, bool) or isinstance(value, bool):
         fits = isinstance(present, bool) and isinstance(value, bool)
     elif isinstance(present, float):

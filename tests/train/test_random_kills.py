@@ -124,7 +124,7 @@ class Chaos:
         run = start(*arguments)
         try:
             if victim:
-                assert wait_until(lambda: find_children(run.pid, victim), PATIENCE)
+                assert wait_until(lambda: find_children(run.pid, victim) or run.poll() is not None, PATIENCE)
             elif self._rng.random() < 0.6:
                 wait_until(lambda: count() > began or run.poll() is not None, PATIENCE)
             moment = self._rng.uniform(0.0, longest)
