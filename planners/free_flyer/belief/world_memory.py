@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_envs.compiled import compiled, inlined
+from impact_envs.compiled import compiled
 from impact_envs.free_flyer.sensing import BODY_SIZE
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.tracking.course import COURSE
@@ -316,9 +316,3 @@ def find_strike(memory: WorldMemory, k: int, r: int) -> int:
         if coming and strike.robot == r and strike.time < best:
             best, found = strike.time, o
     return found
-
-
-@inlined
-def find_curves(plan: PlanTable, memory: WorldMemory, k: int) -> np.ndarray:
-    """Return the robots' curves in world k, with their responses if the plan has any; see `PlanTable.coefficients`."""
-    return memory.flown[k] if len(plan.response) > 0 else plan.coefficients

@@ -19,7 +19,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.options import EXPERT, Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable, make_plan_table
-from planners.free_flyer.belief.world_memory import PAST_PERIOD, WorldMemory, find_curves
+from planners.free_flyer.belief.world_memory import PAST_PERIOD, WorldMemory
 from planners.free_flyer.closed_loop.planning_process import PlanningProcesses
 from planners.free_flyer.next_impact.desired_velocity import find_mass
 from planners.free_flyer.nominal.remaining import make_remaining_scenario
@@ -128,7 +128,7 @@ class Background:
     def _make_rest(self, table: PlanTable, memory: WorldMemory, k: int, now: float, begin: float) -> FreeFlyerScenario:
         """Make the scenario that is left at `begin`: objects fly on, robots follow their courses."""
         positions, velocities = {}, {}
-        curves = find_curves(table, memory, k)
+        curves = memory.flown[k] if len(table.response) else table.coefficients
         for i, name in enumerate(self._scenario.bodies):
             if i < table.robots:
                 motion = evaluate_course(memory.course[k, i], table.breaks, curves, i, begin)[:4]

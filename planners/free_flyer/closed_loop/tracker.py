@@ -9,7 +9,7 @@ import numpy as np
 from impact_envs.compiled import compiled, inlined
 from planners.free_flyer.belief.options import BY_LQR, BY_MPC, Options
 from planners.free_flyer.belief.plan_table import PlanTable
-from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory, find_curves
+from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
 from planners.free_flyer.closed_loop.avoidance import NO_TARGET, avoid_bodies, hold_barrier
 from planners.free_flyer.next_impact.replanner import find_law
 from planners.free_flyer.tracking.course import evaluate_course
@@ -116,7 +116,7 @@ def feed_back(
 ) -> None:
     """Write robot r's input by LQR on its course."""
     now, h, reference = memory.time[k], plan.period, workspace.states[c, 0]
-    curves = find_curves(plan, memory, k)
+    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
     here = evaluate_course(memory.course[k, r], plan.breaks, curves, r, now)
     ahead = evaluate_course(memory.course[k, r], plan.breaks, curves, r, now + h)
     reference[0], reference[1], reference[2] = here[0], here[1], plan.body[r].heading
@@ -153,7 +153,7 @@ def fill_reference(plan: PlanTable, memory: WorldMemory, workspace: Workspace, c
         jump[3] = strike.normal[0] * strike.object_minus[0] + strike.normal[1] * strike.object_minus[1]
     workspace.node[c] = node
     cos, sin, t = math.cos(heading), math.sin(heading), now
-    curves = find_curves(plan, memory, k)
+    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
     for j in range(STAGES + 1):
         bounced = node != NO_JUMP and j > node
         if bounced:

@@ -22,7 +22,6 @@ from planners.free_flyer.belief.world_memory import (
     NO_OBJECT,
     NO_ROBOT,
     WorldMemory,
-    find_curves,
     find_next_event,
 )
 from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF
@@ -153,7 +152,7 @@ def return_robot(
     time, planned, _ = find_next_event(plan, memory, k, r)
     z = memory.filter[k, r]
     begin = (z.position[0], z.position[1], z.velocity[0], z.velocity[1])
-    curves = find_curves(plan, memory, k)
+    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
     return_to_plan(
         memory.course[k, r],
         plan.breaks,

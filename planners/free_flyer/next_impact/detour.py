@@ -17,7 +17,7 @@ from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.surroundings import WALLS, measure_distance, measure_gap
-from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory, find_curves
+from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
 from planners.free_flyer.tracking.course import Motion, evaluate_course, evaluate_quintic, fit_detour, fit_quintic
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT
 
@@ -58,7 +58,7 @@ def go_round(
         latest: until when a course back to the plan may last [s].
     """
     course, surroundings = memory.course[k, r], options.surroundings
-    curves = find_curves(plan, memory, k)
+    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
     T = course.until - now
     if T < SHORTEST:
         return
@@ -232,7 +232,7 @@ def measure_intrusion(
 @compiled
 def is_clear(plan: PlanTable, memory: WorldMemory, options: Options, k: int, way: Way) -> bool:
     """Return whether a course is too near to nothing; where there is room, look less often."""
-    curves = find_curves(plan, memory, k)
+    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
     course = memory.course[k, way.r]
     step, t = (course.until - way.now) / options.surroundings.samples, way.now + TINY
     while t < course.until:
@@ -255,7 +255,7 @@ def weigh_course(
     Args:
         most: acceleration that is asked for [m/s^2].
     """
-    curves = find_curves(plan, memory, k)
+    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
     course, count = memory.course[k, way.r], options.surroundings.samples
     inside, peak, deepest, worst = 0, 0.0, -math.inf, way.now
     for i in range(1, count):

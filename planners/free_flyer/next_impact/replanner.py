@@ -11,7 +11,7 @@ from planners.free_flyer.belief.offset import compute_lever, extrapolate_swing
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.surroundings import measure_gap
-from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory, find_curves
+from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
 from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time, withdraw_impact
 from planners.free_flyer.next_impact.desired_velocity import (
     ROUND_OFF,
@@ -71,7 +71,7 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     else:
         robot_wish = (vx, vy)
         if strike.index != NO_IMPACT and not strike.is_inserted:
-            curves = find_curves(plan, memory, k)
+            curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
             planned = evaluate_curve(plan.breaks, curves, r, plan.impact[strike.index].time, True)
             robot_wish = (planned[2], planned[3])
         solution = solve_soft_two_body_impact(
@@ -151,7 +151,7 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         return
     if options.walls and options.retime and not is_place_clear(plan, memory, k, r, o, strike.time):
         advance_impact(plan, memory, options, k, r, o, now)
-    curves = find_curves(plan, memory, k)
+    curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
     begin = evaluate_course(memory.course[k, r], plan.breaks, curves, r, now)
     z = memory.filter[k, r]
     if math.hypot(begin[0] - z.position[0], begin[1] - z.position[1]) > options.replanning.off_course:
