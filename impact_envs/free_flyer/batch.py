@@ -267,12 +267,13 @@ class Batch(BatchViews):
         contacts: np.ndarray = np.zeros((count, r), dtype)
         kept, drawn = compute_memory_size(sensing, n, r), count_uniforms(sensing, n)
         ideal = kept + drawn == 0
+        columns = SENSOR_COLUMNS if sensing.delay_steps + sensing.lost_steps > 0 else 0
         memory = Memory(
             states=states,
             signals=states,
             contacts=contacts,
             streams=np.zeros((count, 4), np.uint64),
-            sensors=np.zeros((count, SENSOR_COLUMNS), dtype),
+            sensors=np.zeros((count, columns), dtype),
             uniforms=np.zeros((count, drawn)),
             samples=np.zeros((count, kept), dtype),
             measured=states if ideal else np.zeros_like(states),
