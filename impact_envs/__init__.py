@@ -52,11 +52,28 @@ _LAZY = {
 # Scenario names whose Gymnasium id is not their words capitalised.
 _TITLES = {"pingpong": "PingPong"}
 # Raised when episodes change, by the id without its version; 0 where not listed. Frozen in tests/frozen.
-_VERSIONS = {"Crew": 1}
+_VERSIONS = {
+    "Corridor": 1,
+    "CorridorResidual": 1,
+    "Crew": 2,
+    "CrewResidual": 1,
+    "Exchange": 1,
+    "ExchangeResidual": 1,
+    "ObstacleAvoidance": 1,
+    "ObstacleAvoidanceResidual": 1,
+    "PingPong": 1,
+    "PingPongResidual": 1,
+    "Pong": 1,
+    "PongResidual": 1,
+    "Relay": 1,
+    "RelayResidual": 1,
+    "ThrowAndCatch": 1,
+    "ThrowAndCatchResidual": 1,
+}
 
 
 def gym_id(scenario: str, residual: bool = False) -> str:
-    """Return the Gymnasium id of a shipped scenario, for example ``impact_envs/ThrowAndCatch-v0``."""
+    """Return the Gymnasium id of a shipped scenario, for example ``impact_envs/ThrowAndCatch-v1``."""
     title = _TITLES.get(scenario) or "".join(word.capitalize() for word in scenario.split("_"))
     title += "Residual" if residual else ""
     return f"impact_envs/{title}-v{_VERSIONS.get(title, 0)}"

@@ -12,7 +12,7 @@ import pytest
 
 from agents.residual import ResidualPolicy
 from agents.vec_env import ImpactVecEnv
-from impact_envs import load_scenario, parallel_env, rollout, vector_env
+from impact_envs import gym_id, load_scenario, parallel_env, rollout, vector_env
 from impact_envs.rollout import RandomPolicy, ZeroPolicy
 from impact_envs.stl import parse
 from impact_envs.stl.monitor import Monitor
@@ -169,13 +169,13 @@ PLANNED = ("throw_and_catch", "corridor")
 DISTURBED["corridor"] = "hard"
 MAKERS = {
     **{f"ParallelEnv {name}": lambda name=name: Parallel(parallel_env(load(name))) for name in DISTURBED},
-    "JointEnv": lambda: Environment(gymnasium.make("impact_envs/ThrowAndCatch-v0")),
+    "JointEnv": lambda: Environment(gymnasium.make("impact_envs/ThrowAndCatch-v1")),
     "vector_env": lambda: Environment(vector_env(load("throw_and_catch"), 3, threads=2)),
     "vector_env nominal": lambda: Environment(vector_env("corridor", 2, autoreset_mode="SameStep", max_cycles=5)),
     "ImpactVecEnv": lambda: Learners(ImpactVecEnv(load("throw_and_catch"), 2)),
     **{
-        f"{title}Residual": lambda title=title: Environment(gymnasium.make(f"impact_envs/{title}Residual-v0"))
-        for title in ("ThrowAndCatch", "FloatingManipulatorThrusters", "DualArmGrasp")
+        f"residual {name}": lambda name=name: Environment(gymnasium.make(gym_id(name, residual=True)))
+        for name in ("throw_and_catch", "floating_manipulator_thrusters", "dual_arm_grasp")
     },
     **{
         f"expert {name}": lambda name=name: Flown(name, make_expert(load(name)))

@@ -50,7 +50,7 @@ class Estimation:
     flight: float = 1e-5  # unmodelled acceleration of objects [m/s^2]
     kept: float = 3e-4  # the same, of objects that keep their velocity [m/s^2]
     drift: float = 5e-4  # standard deviation of the constant acceleration of an object [m/s^2]
-    still: Share = 0.5  # share of objects that have none
+    still: Share = 0.15  # share of objects that have none
     offset: Positive = 0.02  # of an object's centre of mass from its geometric centre, per axis [m]
 
 

@@ -50,7 +50,7 @@ def start_strikes(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         while at != NO_IMPACT:
             impact, knot = plan.impact[at], plan.knot[at]
             memory.clock[k, at] = impact.time
-            if before == NO_IMPACT and now == 0.0 and len(plan.response) == 0:
+            if options.retime and before == NO_IMPACT and now == 0.0 and len(plan.response) == 0:
                 memory.clock[k, at] = find_departure(plan, options, o)
             if before != NO_IMPACT and knot.closes < math.inf and len(plan.response) == 0:
                 # Objects usually arrive late: start the flight into a window early enough for a weak throw to arrive.
