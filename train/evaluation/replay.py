@@ -72,8 +72,15 @@ def episode_to_dict(
         "effort": float(episode.effort),
         "fallbacks": dict(episode.fallbacks),
         "solve_ms": compute_solve_times(1e3 * episode.solve_seconds),
-        "plan": json.loads(plan.to_json()) if plan else None,
+        "plan": describe_plan(plan) if plan else None,
     }
+
+
+def describe_plan(plan: Plan) -> dict[str, Any]:
+    """Return a plan's fields; the version is that of a file of its own."""
+    content: dict[str, Any] = json.loads(plan.to_json())
+    del content["version"]
+    return content
 
 
 def _rounded(values: Any) -> Any:

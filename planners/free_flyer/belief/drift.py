@@ -33,6 +33,18 @@ def weigh_drift(z: np.record, options: Options) -> None:
 
 
 @inlined
+def let_drift_change(z: np.record, options: Options, h: float) -> None:
+    """Let a drift change over a step, in place; the offset of a turning body would otherwise take up that it does.
+
+    Args:
+        z: a FILTER.
+        h: step [s].
+    """
+    if z.P_aa > 0.0 and z.P_dd > 0.0:
+        z.P_aa += options.estimation.drift_change * options.estimation.drift_change * h
+
+
+@inlined
 def find_motion(z: np.record) -> tuple[complex, complex, complex]:
     """Return the likely position [m], velocity [m/s] and drift [m/s^2] of a filter, as complex numbers."""
     p, v = complex(z.position[0], z.position[1]), complex(z.velocity[0], z.velocity[1])

@@ -13,7 +13,7 @@ import numpy as np
 from impact_envs.compiled import compiled, inlined
 from impact_envs.free_flyer.sensing import BODY_SIZE, OMEGA, VX, VY, X, Y, find_contact_place
 from impact_envs.physics.impact import compute_velocity_gain
-from planners.free_flyer.belief.drift import find_motion, mix_variance, weigh_drift
+from planners.free_flyer.belief.drift import find_motion, let_drift_change, mix_variance, weigh_drift
 from planners.free_flyer.belief.impact_parameters import compute_pair_gain, get_pair, learn_velocity_error
 from planners.free_flyer.belief.offset import (
     LEAST,
@@ -202,6 +202,8 @@ def update_estimates(
             else options.estimation.flight
         )
         predict_state(memory.filter[k, i], ux, uy, h, unmodelled)
+        if memory.heading[k, i].rate != 0.0:
+            let_drift_change(memory.filter[k, i], options, h)
         if now <= memory.track[k, i].doubted:
             predict_state(memory.track[k, i].old, ux, uy, h, unmodelled)
         heading, spin = memory.heading[k, i], memory.spin[k, i] if i < r else 0.0

@@ -50,6 +50,7 @@ class Estimation:
     flight: float = 1e-5  # unmodelled acceleration of objects [m/s^2]
     kept: float = 3e-4  # the same, of objects that keep their velocity [m/s^2]
     drift: float = 5e-4  # standard deviation of the constant acceleration of an object [m/s^2]
+    drift_change: float = 1e-5  # of the drift of a turning object, a random walk [m/s^2 per square root of s]
     still: Share = 0.15  # share of objects that have none
     offset: Positive = 0.02  # of an object's centre of mass from its geometric centre, per axis [m]
 

@@ -8,7 +8,8 @@ import pytest
 from impact_envs import InputError, load_scenario, parallel_env, rollout, vector_env
 from impact_envs.free_flyer.schema import DRIFT_X, DRIFT_Y, MASS, OFFSET_X, OFFSET_Y, RESTITUTION
 from planners import make_expert, make_oracle, make_oracle_batch
-from planners.free_flyer.oracle import CERTAIN, FreeFlyerOracle, Truth, read_truth
+from planners.free_flyer.belief.world_memory import FILTER
+from planners.free_flyer.oracle import CERTAIN, FreeFlyerOracle, Truth, turn_drifts
 from tests.frozen.freeze import get_plan
 from train.evaluation.oracle import OraclePolicy
 
@@ -18,29 +19,12 @@ PLAN = get_plan(NAME, "nominal")
 CALM = {"plan_anew": False}
 
 
-def make_reading(told, heading, rate, centre, velocity):
-    """Return the joint observation of a scenario of two robots and one object, whose geometric centre is read."""
-    cos, sin = np.cos(heading), np.sin(heading)
-    x, y = cos * told[0] - sin * told[1], sin * told[0] + cos * told[1]
-    joint = np.zeros((1, 7 * 3 + 2 + 3))
-    joint[0, 14:21] = centre[0] - x, centre[1] - y, velocity[0] + rate * y, velocity[1] - rate * x, cos, sin, rate
-    return joint
-
-
-def test_a_turning_body_is_read_where_its_mass_is():
-    scenario = load_scenario(NAME)
-    truth = Truth(scenario, PLAN, 1)
-    truth.told["offset"] = 0.02, -0.01
-    for heading in np.linspace(-3.0, 3.0, 7):
-        joint = make_reading((0.02, -0.01), heading, 0.4, (1.5, 2.0), (0.03, -0.02))
-        read_truth(truth.told, 0.1, 30.0, joint, np.zeros((1, 3), make_filter()), False)
-        assert joint[0, 14:18] == pytest.approx([1.5, 2.0, 0.03, -0.02], abs=1e-15)
-
-
-def make_filter():
-    from planners.free_flyer.belief.world_memory import FILTER
-
-    return FILTER
+def test_a_drift_that_is_told_turns():
+    truth, filters, joint = Truth(load_scenario(NAME), PLAN, 1), np.zeros((1, 3), FILTER), np.zeros((1, 7 * 3 + 2 + 3))
+    truth.told["drift"], truth.told["turn"] = (3e-4, 0.0), 0.05
+    joint[0, 23] = 20.0 / 30.0  # of the horizon
+    turn_drifts(truth.told, 0.1, 30.0, joint, filters)
+    assert filters["drift"][0, 2] == pytest.approx([3e-4 * np.cos(1.0), 3e-4 * np.sin(1.0)], abs=3e-6)
 
 
 def test_the_belief_opens_with_the_truth():
@@ -59,8 +43,8 @@ def test_the_belief_opens_with_the_truth():
         assert pair.mass_ratio == pytest.approx(physics.body[pop, MASS] / physics.body[r, MASS], rel=1e-12)
         assert pair.restitution_spread == pytest.approx(CERTAIN)
     z, place = oracle.memory.filter[0, pop], np.array(scenario.objects["pop"].start)
-    offset = physics.body[pop, OFFSET_X : OFFSET_Y + 1]  # heading 0
-    assert z["position"] - place == pytest.approx(offset, abs=1e-3)
+    assert z["offset"] == pytest.approx(-physics.body[pop, OFFSET_X : OFFSET_Y + 1], abs=1e-9)
+    assert z["position"] == pytest.approx(place, abs=1e-3)
     assert np.hypot(*z["drift"]) == pytest.approx(np.hypot(*physics.body[pop, [DRIFT_X, DRIFT_Y]]), rel=1e-9)
 
 

@@ -14,6 +14,7 @@ from planners.bezier import Curve
 from planners.plan import Plan
 from train.evaluation.metric import signed
 from train.evaluation.metrics import summarize
+from train.evaluation.replay import describe_plan
 from train.evaluation.results import Difference
 from train.evaluation.statistics import compare
 from train.report import page as page_module
@@ -79,7 +80,7 @@ def _replay(suite, policy, thrown):
         "impacts": [{"time": t, "a": "pop", "b": "puck", "point": [0.5, y], "normal": [0, 1], "impulse": [0, 1],
                      "speed": 0.1} for t, y in ((5.02, 1.35), (CATCH, 2.4)) if thrown],
         "fallbacks": {}, "solve_ms": {"p50": None, "p99": None, "max": None},
-        "plan": json.loads(plan.to_json()) if thrown else None,
+        "plan": describe_plan(plan) if thrown else None,
     }  # fmt: skip
 
 

@@ -45,7 +45,7 @@ def test_times_and_places_stay_while_the_plan_promises_success() -> None:
     assert episode.reoptimised["same_sequence"] == 0
     for hit, planned in zip(episode.impacts, plan.impacts, strict=True):
         assert abs(hit.time - planned.time) < 0.05
-    without = replace(plan, tubes={}, deviation=None, deviation_bound=None)
+    without = replace(plan, tubes={}, planned_responses=(), responses={}, deviation=None, deviation_bound=None)
     assert fly(without, None).reoptimised["same_sequence"] == 1
 
 

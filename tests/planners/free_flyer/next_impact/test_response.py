@@ -157,7 +157,8 @@ def test_a_deviation_beyond_the_plans_ends_its_promise(share: float, promised: b
 
 def test_a_flight_that_is_known_at_once_is_answered_at_once() -> None:
     world, soon = make_world(CENTRE), FIRST + 0.1
-    world.memory.time[K] = soon
+    world.memory.time[K], velocity = soon, world.memory.filter["velocity"][K, POP].copy()
+    world.see(POP, [0.5, 1.5] + 0.1 * velocity, velocity)
     assert is_settled(world.table, world.memory, OPTIONS, K, 0, soon)
     world.memory.filter["P_vv"][K, POP] = 0.01**2  # 10 cm at the impact
     assert not is_settled(world.table, world.memory, OPTIONS, K, 0, soon)
