@@ -58,7 +58,7 @@ class Flights:
 
 def fly(scenario: Any, plan: Plan, way: Way, worlds: int, seed: int) -> Flights:
     """Fly a plan in worlds with these seeds, all at once."""
-    # Without plans made in the background, whose time limit would let an episode depend on the machine.
+    # Without plans made in the background, which would not be the plan's own.
     options = {"respond": way == "responses", "plan_anew": False} if way != "paper_expert" else {}
     variant = "paper_expert" if way == "paper_expert" else None
     begin = time.perf_counter()
