@@ -52,7 +52,7 @@ def want(self, seed=None):
     reset(self, seed)
     self.memory.wanted[0] = 3.0
 FreeFlyerExpert.reset = want
-cases = make_cases(['throw_and_catch'], ['restitution'], {{'expert.background.time_limit': 300.0}})
+cases = make_cases(['throw_and_catch'], ['restitution'], {{'expert.background.patience': 300.0}})
 cases = [replace(case, plan=get_plan('throw_and_catch', 'nominal')) for case in cases]
 evaluate_cases(cases, ['expert'], {PLANNED}, out=sys.argv[1], progress=False)
 """
@@ -197,14 +197,9 @@ def kill_planning(chaos: Chaos, parents: int, planners: int) -> None:
     goal = len(chaos.kills) + planners
     while len(chaos.kills) < goal:
         shutil.rmtree(out)
-        if not chaos.kill("background planning: planner", (script, out), lambda: count_rows(out), b".background"):
+        if not chaos.kill("background planning: planner", (script, out), lambda: count_rows(out), b"planning_process"):
             continue
-        rows = read_rows(out)
-        assert [row["seed"] for row in rows] == [row["seed"] for row in wanted]
-        # The episode that waited for the planner counts that it got no plan; all others are the same.
-        other = [row for row, right in zip(rows, wanted, strict=True) if row != right]
-        assert len(other) <= 1
-        assert all("no_plan" in json.loads(row["fallback_kinds"]) for row in other)
+        assert read_rows(out) == wanted  # what a dead planner was asked is asked again
 
 
 def kill_trainings(chaos: Chaos, parents: int) -> None:
