@@ -143,7 +143,7 @@ def describe(name: str, way: Way, delta: float, plan: Plan, scenario: Any, args:
         "episodes": args.worlds,
         "violations": int((~found.success).sum()),
         "left": left,
-        "outside": None if left is None else float(found.outside.max()),  # type: ignore[union-attr]
+        "outside": None if found.outside is None else float(found.outside.max()),
         "least_robustness": float(found.robustness.min()),
         "median_robustness": float(np.median(found.robustness)),
         "counted": {key: found.counts[key] for key in OTHERWISE if key in found.counts},
