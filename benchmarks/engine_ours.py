@@ -70,7 +70,7 @@ def make_compiled(setting: Setting, batch: int, steps: int) -> Episode:
     inner: Any = envs.batch
     rows = make_rows(batch, 3 * setting.robots, steps).astype(float).reshape(-1, setting.robots, 3)
     actions, todo = cut(rows, batch, steps, setting.hold), np.full(batch, STEP)
-    arrays = (*inner._arrays, tuple(inner.make_output(False)))
+    arrays = (*inner.arrays, tuple(inner.make_output(False)))
 
     def run(count: int) -> None:
         for action in actions[:count]:

@@ -92,4 +92,9 @@ for _name in list_scenarios():
         vector_entry_point="impact_envs.vector:ImpactVectorEnv",
         kwargs={"scenario": _name},
     )
-    gymnasium.register(gym_id(_name, residual=True), "agents.residual:ResidualEnv", kwargs={"scenario": _name})
+    gymnasium.register(
+        gym_id(_name, residual=True),
+        "agents.residual:ResidualEnv",
+        vector_entry_point="agents.residual_vector:ResidualVectorEnv",
+        kwargs={"scenario": _name},
+    )

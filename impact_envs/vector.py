@@ -17,7 +17,7 @@ from impact_envs.domain import find_part
 from impact_envs.errors import InputError, ResetNeeded, check_count, choices
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.stl.verdict import judge
-from impact_envs.stream import LARGEST_SEED, check_seed
+from impact_envs.vector_reset import make_seeds, read_mask
 
 DTYPES = {"float64": np.float64, "float32": np.float32}
 DEVICES = ("cpu", "cuda")
@@ -139,17 +139,12 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         Raises:
             InputError: a mask or seeds of another shape, or a bad seed.
         """
-        if options is not None and not isinstance(options, dict):
-            raise InputError(f"options = {options!r:.60}: a dict is needed")
-        mask = self._check_mask((options or {}).get("reset_mask"))
-        if not (self._started or mask.all()):
-            world = int(np.argmin(mask))
-            raise InputError(f"reset_mask leaves out world {world}, which was never reset: reset all worlds first")
+        mask = read_mask(options, self.num_envs, self._started)
         chosen = np.flatnonzero(mask)
         if seed is None and not self._started:
             seed = int(np.random.SeedSequence().entropy) % 2**62  # type: ignore[arg-type]
         if seed is not None:
-            self.batch.seed(chosen, self._make_seeds(seed, chosen))
+            self.batch.seed(chosen, make_seeds(seed, self.num_envs, chosen))
             super().reset(seed=int(seed) if np.ndim(seed) == 0 else None)  # type: ignore[arg-type]
         self._started = True
         output = self._fresh(copy=not mask.all())
@@ -271,30 +266,6 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         if failed is not None and failed.any():
             infos |= {"failure": batch.describe_failures(), "_failure": self._give(failed)}
         return infos
-
-    def _make_seeds(self, seed: Any, worlds: np.ndarray) -> np.ndarray:
-        """Return the seeds of some worlds, shape (m,)."""
-        if np.ndim(seed) == 0:
-            first = check_seed(seed)
-            seed = range(first, first + self.num_envs)
-        if np.shape(seed) != (self.num_envs,):
-            raise InputError(f"seed has shape {np.shape(seed)}; one number, or one for each of {self.num_envs} worlds")
-        if isinstance(seed, range) and seed[0] >= 0 and seed[-1] <= LARGEST_SEED:
-            return seed[0] + worlds
-        for world in worlds.tolist():
-            check_seed(seed[world], f"seed of world {world}")
-        return np.array([int(seed[world]) for world in worlds.tolist()], np.int64)
-
-    def _check_mask(self, mask: Any) -> np.ndarray:
-        if mask is None:
-            return np.ones(self.num_envs, bool)
-        mask = np.asarray(mask)
-        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
-            raise InputError(
-                f"reset_mask of shape {mask.shape}, {mask.dtype}: {self.num_envs} truth values are needed, one of them "
-                "true at least"
-            )
-        return mask
 
     def _take_actions(self, actions: Any) -> Any:
         """Return actions as the batch takes them, unless they are no real numbers."""

@@ -27,3 +27,27 @@ def check_correction(correction: np.ndarray, size: int, awaited: bool) -> np.nda
     if not awaited:
         raise InputError("no correction is awaited now; see awaiting_correction")
     return np.clip(values, -1.0, 1.0)
+
+
+def check_corrections(worlds: np.ndarray, corrections: np.ndarray, awaiting: np.ndarray, size: int) -> None:
+    """Raise unless corrections of some of N worlds are in order.
+
+    Args:
+        worlds: which worlds' are given, shape (N,) bool.
+        corrections: shape (N, size); the other worlds' rows are not looked at.
+        awaiting: which worlds await one, shape (N,) bool.
+        size: length that the expert takes.
+
+    Raises:
+        InputError: another shape, a value that is not finite, or a world that awaits none; the first world is named.
+    """
+    needed = len(awaiting), size
+    if np.shape(worlds) != awaiting.shape or np.asarray(worlds).dtype != bool or np.shape(corrections) != needed:
+        raise InputError(
+            f"worlds of shape {np.shape(worlds)} and corrections of shape {np.shape(corrections)}: "
+            f"{awaiting.shape} truth values and {needed} numbers are needed"
+        )
+    for k in np.flatnonzero(worlds & ~awaiting).tolist():
+        raise InputError(f"world {k} awaits no correction now; see awaiting_correction")
+    for k in np.flatnonzero(worlds & ~np.isfinite(corrections).all(axis=1)).tolist():
+        raise InputError(f"correction of world {k} must be {size} finite numbers, got {np.asarray(corrections)[k]}")

@@ -15,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from agents import ResidualVectorEnv
+from agents.free_flyer.decision_loop import run_until_due
 from impact_envs import parallel_env, rollout, vector_env
 from impact_envs.compiled import is_compiled
 from impact_envs.dual_arm.plant import advance_state as advance_arms
@@ -31,10 +33,11 @@ ROOT = Path(__file__).parents[1]
 
 
 def compile_free_flyers_expert() -> None:
-    """Act once, on observations that say nothing."""
+    """Act once, on observations that say nothing; and decide once."""
     env, expert = parallel_env("throw_and_catch"), make_expert("throw_and_catch")
     expert.reset(0)
     expert.act({agent: np.zeros(env.observation_space(agent).shape) for agent in env.possible_agents})
+    ResidualVectorEnv("throw_and_catch", 1, plan=expert.plan, max_cycles=1, threads=1).reset(seed=0)
 
 
 def compile_vector_environment() -> None:
@@ -57,7 +60,7 @@ def compile_manipulators() -> None:
 
 # Name to what compiles, and the functions that tell whether it has; the longest first.
 JOBS: dict[str, tuple[Callable[[], None], tuple[Callable[..., object], ...]]] = {
-    "free-flyers' expert": (compile_free_flyers_expert, (run_experts,)),
+    "free-flyers' expert": (compile_free_flyers_expert, (run_experts, run_until_due)),
     "vector environment": (compile_vector_environment, (run_tuples,)),
     "engine and arms": (compile_engine_and_arms, (step_alone, advance_arms, assemble_ante)),
     "manipulators": (compile_manipulators, (advance_manipulator, compute_torques)),

@@ -252,7 +252,7 @@ def test_no_two_arrays_of_many_worlds_that_share_memory_are_parted():
     copied = pickle.loads(pickle.dumps(batch))
 
     def list_arrays(each):
-        return [array for group in each._arrays for array in (group if isinstance(group, tuple) else (group,))]
+        return [array for group in each.arrays for array in (group if isinstance(group, tuple) else (group,))]
 
     old, new = (
         [array for array in list_arrays(each) if isinstance(array, np.ndarray) and array.size]

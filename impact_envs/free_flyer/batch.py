@@ -216,7 +216,7 @@ class Batch(BatchViews):
             self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None, "_arrays": ()}
+        return {**self.__dict__, "_pool": None, "arrays": ()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -226,7 +226,7 @@ class Batch(BatchViews):
     def _collect(self) -> None:
         """Collect the arrays that every step takes."""
         owned, shared = (self._arena, self._worlds, self._scratch), (self._formula, self._sensing, self._rules)
-        self._arrays = (*map(tuple, owned), self._log, *map(tuple, (*shared, self._memory)))
+        self.arrays = (*map(tuple, owned), self._log, *map(tuple, (*shared, self._memory)))
 
     def make_output(self, agents: bool) -> Output:
         """Return fresh arrays for a step to fill.
@@ -246,7 +246,7 @@ class Batch(BatchViews):
 
         def run(thread: int) -> None:
             first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
-            call(*self._arrays, filled, actions, todo, thread, first, end)
+            call(*self.arrays, filled, actions, todo, thread, first, end)
 
         if self._threads == 1:
             run(0)

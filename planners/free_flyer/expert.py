@@ -14,26 +14,25 @@ from impact_envs.compiled import announce, bind
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import join_observations, make_joint_layout
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from impact_envs.physics.impact import compute_velocity_gain
 from impact_envs.rollout import Diagnostics
 from planners.correction import check_correction
-from planners.free_flyer.belief.estimator import extrapolate_flight
-from planners.free_flyer.belief.impact_parameters import NOW, compute_gain_spread, compute_pair_gain, find_row, get_pair
+from planners.free_flyer.belief.impact_parameters import NOW, find_row, get_pair
 from planners.free_flyer.belief.options import Options, get_options, make_record
-from planners.free_flyer.belief.plan_table import NO_IMPACT, make_plan_table
+from planners.free_flyer.belief.plan_table import make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
+from planners.free_flyer.closed_loop.features import FEATURES
 from planners.free_flyer.closed_loop.world_loop import (
     ADOPT,
     APPLY,
     CONTROL,
     DECIDE,
+    DESCRIBE,
     OBSERVE,
     PREPARE,
     START,
     run_experts,
 )
-from planners.free_flyer.next_impact.desired_velocity import choose_desired_velocity, find_next_knot
 from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
 from planners.free_flyer.tracking.problem import build_tracking_problem
@@ -41,7 +40,6 @@ from planners.free_flyer.tracking.protocol import Tracker, call_tracker
 from planners.free_flyer.tracking.trackers import find_tracker
 from planners.plan import Plan
 
-ONE_HOT = 6
 # Counters of normal operation, not counted as fallbacks.
 ROUTINE = ("replans", "retimed", "reoptimised", "planned_anew", "avoided", "detours", "responded")
 
@@ -109,7 +107,7 @@ class FreeFlyerExpert:
     """
 
     correction_size = 2
-    feature_size = ONE_HOT + 21
+    feature_size = FEATURES
 
     def __init__(
         self,
@@ -136,6 +134,7 @@ class FreeFlyerExpert:
         }
         self._joint = np.zeros((1, make_joint_layout(scenario).size))
         self._actions, self._due = np.zeros((1, robots, 3)), np.full(1, NO_OBJECT)
+        self._corrections, self._features = np.zeros((1, self.correction_size)), np.zeros((1, self.feature_size))
         self._planned = self.table
         self._background = Background(self._scenario, self.options)
         self._record = make_record(self.options)
@@ -208,53 +207,17 @@ class FreeFlyerExpert:
             InputError: wrong shape, or no correction is awaited.
         """
         values = check_correction(correction, self.correction_size, self.awaiting_correction)
-        strike = self.memory.strike[0, self._due[0]]
-        strike["scale"], strike["turn"] = values
+        self._corrections[0] = values
         self._run(DECIDE)
 
     def features(self) -> np.ndarray:
         """Return what a learner may see of the coming impact (of the one a correction is awaited for, if any).
 
         Returns:
-            Shape (27,): one-hot number of the impact in the plan (6); time / horizon; time to the impact [s]; duration
-            of the leg after it [s]; predicted position of the object at the impact minus planned (2) [m]; velocity of
-            the object (2), desired velocity (2), desired change (2) [m/s]; change over commanded change at the last
-            impact of this object, 1 before any; number of such observations; position (2) [m] and velocity (2) [m/s]
-            of the robot relative to the object; estimated over believed velocity gain and its standard deviation;
-            estimated drift of the object (2) [m/s^2]. Zeros when no impact is to come.
+            Shape (27,), see `features.write_features`. Zeros when no impact is to come.
         """
-        table, memory, o = self.table, self.memory, int(self._due[0])
-        if o == NO_OBJECT:
-            o = int(np.argmin(memory.strike["time"][0]))
-        strike = memory.strike[0, o]
-        index, time, r = int(strike["index"]), float(strike["time"]), int(strike["robot"])
-        if index == NO_IMPACT:
-            return np.zeros(self.feature_size)
-        planned, body = table.impact[index], table.robots + o
-        x, y, vx, vy = extrapolate_flight(memory, 0, body, time)
-        wish = np.array(choose_desired_velocity(table, memory, self._record[0], 0, o))
-        one_hot = np.zeros(ONE_HOT)
-        one_hot[min(index, ONE_HOT - 1)] = 1.0
-        _, due, _ = find_next_knot(table, memory, 0, o, bool(strike["is_inserted"]))
-        now, hit, z = memory.time[0], memory.hit[0, o], memory.filter[0, body]
-        robot, mass = memory.filter[0, planned["robot"]], table.body["mass"]
-        believed = compute_velocity_gain(table.restitution, mass[r], mass[body])
-        factor = compute_pair_gain(memory, 0, r, o) / believed
-        return np.concatenate(
-            [
-                one_hot,
-                [now / table.horizon, time - now, due - time],
-                [x, y] - planned["position"],
-                z["velocity"],
-                wish,
-                wish - [vx, vy],
-                [hit["ratio"] or 1.0, hit["seen"]],
-                robot["position"] - z["position"],
-                robot["velocity"] - z["velocity"],
-                [factor, factor * compute_gain_spread(memory, self._record[0], 0, r, o)],
-                z["drift"],
-            ]
-        )
+        self._run(DESCRIBE)
+        return self._features[0].copy()
 
     def estimates(self) -> dict[tuple[str, str], PairEstimate]:
         """Return what is known of every pair of robot and object by now."""
@@ -302,5 +265,5 @@ class FreeFlyerExpert:
 
     def _collect(self, phase: int, row: int = 0) -> tuple[Any, ...]:
         """Return the arguments of `run_experts`; their types are always the same."""
-        arrays = self._joint, self._actions, self._due
+        arrays = self._joint, self._actions, self._due, self._corrections, self._features
         return tuple(self.table), *self._arrays, *arrays, phase, row, 0, 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, cast
@@ -14,11 +16,22 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import make_joint_layout
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.free_flyer.sensing import COS, SIN, TIME, find_shared_place
+from planners.correction import check_corrections
 from planners.free_flyer.belief.options import Options, get_options, make_record
 from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_world_memory
 from planners.free_flyer.closed_loop.background import Background
-from planners.free_flyer.closed_loop.world_loop import ACT, ADOPT, START, run_experts
+from planners.free_flyer.closed_loop.features import FEATURES
+from planners.free_flyer.closed_loop.world_loop import (
+    ACT,
+    ADOPT,
+    CONTROL,
+    DECIDE,
+    DESCRIBE,
+    RECEIVE,
+    START,
+    run_experts,
+)
 from planners.free_flyer.expert import check_plan
 from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
@@ -30,7 +43,8 @@ from planners.plan import Plan
 class FreeFlyerExpertBatch:
     """The expert of N worlds; world k acts as FreeFlyerExpert does, and starts anew with an observation of time 0.
 
-    One of zeros alone is no observation.
+    One of zeros alone is no observation. A control step is ``observe(observations)``, then ``correct`` as long as a
+    world awaits a correction, then ``control()``; ``act`` is observe and control.
 
     Args:
         scenario: its true physics are not looked at.
@@ -41,10 +55,20 @@ class FreeFlyerExpertBatch:
         tracker: a name of `trackers.COMPILED`, instead of the options'.
         threads: that share the worlds.
 
+    Attributes:
+        correction_size, feature_size: of what `correct` takes and `features` returns of each world.
+        due: object whose coming impact's correction is due in each world, or NO_OBJECT, shape (N,).
+        threads: that share the worlds.
+        plans_anew: whether worlds ask for new plans in the background.
+        tables: what `run_experts` takes between plan and observations.
+
     Raises:
         InputError: the plan is for other bodies or another horizon, or the variant is unknown, or the tracker
             is not a compiled one.
     """
+
+    correction_size = 2
+    feature_size = FEATURES
 
     def __init__(
         self,
@@ -67,14 +91,16 @@ class FreeFlyerExpertBatch:
         self._table = make_plan_table(believed, plan, weights=chosen.weights, respond=chosen.respond)
         self._own = dict[int, PlanTable]()
         self.memory = make_world_memory(self._table, count)
-        self._threads = min(threads, count)
+        self.threads = min(threads, count)
         chosen = replace(chosen, tracker=check_compiled(chosen.tracker if tracker is None else tracker))
         self._background = Background(believed, chosen)
-        workspace, qp = make_workspace(self._threads), make_rest_qp(self._threads)
-        self._plan_anew = chosen.plan_anew
-        self._arrays = tuple(self.memory), make_record(chosen), tuple(workspace), tuple(qp)
-        self._due = np.full(count, NO_OBJECT)
-        self._run(self._table, np.zeros((count, self.size)), np.zeros((count, self.robots, 3)), START, 0, 0, count)
+        workspace, qp = make_workspace(self.threads), make_rest_qp(self.threads)
+        self.plans_anew = chosen.plan_anew
+        self.tables = tuple(self.memory), make_record(chosen), tuple(workspace), tuple(qp)
+        self._joint, self._actions = np.zeros((count, self.size)), np.zeros((count, self.robots, 3))
+        self.due, self._features = np.full(count, NO_OBJECT), np.zeros((count, self.feature_size))
+        self._corrections = np.full((count, self.correction_size), np.nan)
+        self._run(self._table, START, 0, 0, count)
         self._pool: ThreadPoolExecutor | None = None
 
     @property
@@ -82,8 +108,13 @@ class FreeFlyerExpertBatch:
         """Return how often what happened since each world's start, name to shape (N,)."""
         return {name: self.memory.counts[name] for name in COUNTERS}
 
+    @property
+    def awaiting_correction(self) -> np.ndarray:
+        """Return in which worlds a correction is due in this control step, and not given yet, shape (N,) bool."""
+        return self.due != NO_OBJECT
+
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Return every world's joint action.
+        """Return every world's joint action: ``observe`` and ``control`` in one go.
 
         Args:
             observations: joint ones, as `vector_env` returns them, shape (N, 7 bodies + robots + 3).
@@ -94,33 +125,119 @@ class FreeFlyerExpertBatch:
         Raises:
             InputError: observations of another shape.
         """
-        joint = self._check(observations)
-        actions = np.empty((self.count, self.robots, 3))
+        self._receive(observations)
+        return self._act(ACT)
+
+    def observe(self, observations: np.ndarray) -> np.ndarray:
+        """Update the estimates of every world, and see where a correction is due.
+
+        Args:
+            observations: as ``act`` takes them.
+
+        Returns:
+            Which worlds await a correction, shape (N,) bool.
+
+        Raises:
+            InputError: observations of another shape.
+        """
+        self._receive(observations)
+        self._share(RECEIVE)
+        return self.awaiting_correction
+
+    def features(self) -> np.ndarray:
+        """Return what a learner may see of every world, see `features.write_features`, shape (N, 27)."""
+        self._features = np.empty((self.count, self.feature_size))
+        self._share(DESCRIBE)
+        return self._features
+
+    def correct(self, worlds: np.ndarray, corrections: np.ndarray) -> np.ndarray:
+        """Set the corrections of coming impacts, as FreeFlyerExpert does; then look for further ones in this step.
+
+        Args:
+            worlds: which worlds' are given, shape (N,) bool.
+            corrections: in [-1, 1], shape (N, 2); the rows of these worlds count.
+
+        Returns:
+            Which worlds await a correction, shape (N,) bool.
+
+        Raises:
+            InputError: another shape, a value that is not finite, or a world that awaits none.
+        """
+        check_corrections(worlds, corrections, self.awaiting_correction, self.correction_size)
+        self._corrections[:] = np.where(worlds[:, None], np.clip(corrections, -1.0, 1.0), np.nan)
+        self._share(DECIDE)
+        return self.awaiting_correction
+
+    def control(self) -> np.ndarray:
+        """Replan where it is time to, and return every world's joint action; corrections not given count as zero.
+
+        Returns:
+            In [-1, 1], shape (N, 3 robots).
+        """
+        return self._act(CONTROL)
+
+    def _act(self, phase: int) -> np.ndarray:
+        self._actions = np.empty((self.count, self.robots, 3))
+        self._share(phase)
+        self.due[:] = NO_OBJECT
+        self._finish()
+        return self._actions.reshape(self.count, -1)
+
+    def _receive(self, observations: np.ndarray) -> None:
+        """Take observations; forget the episodes that are over, and take new plans over."""
+        joint = self._joint = self._read(observations)
         for k in np.flatnonzero((joint[:, self._clock] == 0.0) & joint[:, [COS, SIN]].any(axis=1)).tolist():  # starts
-            self._own.pop(k, None)
-            self._background.forget_world(k)
-            self.memory.wanted[k] = np.inf
-        if self._plan_anew:
+            self.forget_world(k)
+        if self.plans_anew:
             for k in self._background.find_busy(self.memory).tolist():
-                table = self._background.poll_plan(self._own.get(k, self._table), self.memory, k)
-                if table is not None:
-                    self._own[k] = table
-                    self._run(table, joint, actions, ADOPT, 0, k, k + 1)
+                self.poll_plan(k)
 
-        def share(thread: int) -> None:
-            first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
-            for k in sorted(k for k in self._own if first <= k < end):
-                self._run(self._table, joint, actions, ACT, thread, first, k)
-                self._run(self._own[k], joint, actions, ACT, thread, k, k + 1)
-                first = k + 1
-            self._run(self._table, joint, actions, ACT, thread, first, end)
+    def _read(self, observations: np.ndarray) -> np.ndarray:
+        return self._check(observations)
 
-        if self._threads == 1:
-            share(0)
+    def _finish(self) -> None:
+        """Do what comes after the actions."""
+
+    def forget_world(self, k: int) -> None:
+        """Forget the plan of its own and the questions of world k, whose episode starts."""
+        self._own.pop(k, None)
+        self._background.forget_world(k)
+        self.memory.wanted[k] = np.inf
+
+    def poll_plan(self, k: int) -> None:
+        """Let world k ask for a new plan, or take one over, where it is time to."""
+        table = self._background.poll_plan(self._own.get(k, self._table), self.memory, k)
+        if table is not None:
+            self._own[k] = table
+            self._run(table, ADOPT, 0, k, k + 1)
+
+    def find_wake(self, k: int) -> float:
+        """Return from when on world k must be polled, inf if there is nothing to wait for [s]."""
+        return self._background.find_wake(k) if self.plans_anew else math.inf
+
+    def split_worlds(self, first: int, end: int) -> Iterator[tuple[PlanTable, int, int]]:
+        """Yield the plans that worlds from first to before end follow, each with its range of worlds, in order."""
+        for k in sorted(k for k in self._own if first <= k < end):
+            if first < k:
+                yield self._table, first, k
+            yield self._own[k], k, k + 1
+            first = k + 1
+        if first < end:
+            yield self._table, first, end
+
+    def _share(self, phase: int) -> None:
+        """Run a phase of every world; threads share the worlds."""
+
+        def run(thread: int) -> None:
+            ends = thread * self.count // self.threads, (thread + 1) * self.count // self.threads
+            for table, first, end in self.split_worlds(*ends):
+                self._run(table, phase, thread, first, end)
+
+        if self.threads == 1:
+            run(0)
         else:
-            self._pool = self._pool or ThreadPoolExecutor(self._threads)
-            list(self._pool.map(share, range(self._threads)))
-        return actions.reshape(self.count, -1)
+            self._pool = self._pool or ThreadPoolExecutor(self.threads)
+            list(self._pool.map(run, range(self.threads)))
 
     def _check(self, observations: np.ndarray) -> np.ndarray:
         """Return observations as float64, or raise InputError."""
@@ -133,10 +250,9 @@ class FreeFlyerExpertBatch:
             raise InputError(f"observations have shape {joint.shape}, {joint.dtype}; {needed}")
         return np.ascontiguousarray(joint, dtype=np.float64)
 
-    def _run(
-        self, table: PlanTable, joint: np.ndarray, actions: np.ndarray, phase: int, thread: int, first: int, end: int
-    ) -> None:
-        cast(Any, run_experts)(tuple(table), *self._arrays, joint, actions, self._due, phase, thread, first, end)
+    def _run(self, table: PlanTable, phase: int, thread: int, first: int, end: int) -> None:
+        arrays = self._joint, self._actions, self.due, self._corrections, self._features
+        cast(Any, run_experts)(tuple(table), *self.tables, *arrays, phase, thread, first, end)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_pool": None}

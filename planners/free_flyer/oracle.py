@@ -257,10 +257,10 @@ class FreeFlyerOracleBatch(FreeFlyerExpertBatch):
         """
         self._truth.tell(np.arange(self.count) if worlds is None else worlds, physics)
 
-    def act(self, observations: Any) -> np.ndarray:
-        """Return every world's joint action; see FreeFlyerExpertBatch."""
+    def _read(self, observations: np.ndarray) -> np.ndarray:
         joint = self._check(observations).copy()
         self._truth.read(joint, self._table.horizon, self.memory)
-        actions = super().act(joint)
-        self._truth.keep(self._table, self.memory, self._arrays[1][0])
-        return actions
+        return joint
+
+    def _finish(self) -> None:
+        self._truth.keep(self._table, self.memory, self.tables[1][0])

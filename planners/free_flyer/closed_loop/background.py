@@ -26,6 +26,8 @@ from planners.free_flyer.nominal.remaining import make_remaining_scenario
 from planners.free_flyer.tracking.course import evaluate_course
 from planners.plan import Plan
 
+EARLY = 1e-6  # of a plan's time, by round-off [s]
+
 
 @dataclass(frozen=True)
 class Request:
@@ -76,7 +78,7 @@ class Background:
         """
         now, request = float(memory.time[k]), self._pending.get(k)
         if request is not None:
-            if now < request.begin - 1e-6:
+            if now < request.begin - EARLY:
                 return None
             del self._pending[k]
             self._allow_next(k, now)
@@ -90,6 +92,11 @@ class Background:
             if table.horizon - now >= self._options.background.least_left:
                 self._ask_plan(table, memory, k, now)
         return None
+
+    def find_wake(self, k: int) -> float:
+        """Return when `poll_plan` will do something for world k, inf if it asked for nothing [s]."""
+        request = self._pending.get(k)
+        return self._next.get(k, math.inf) if request is None else request.begin - EARLY
 
     def find_busy(self, memory: WorldMemory) -> np.ndarray:
         """Return the worlds that `poll_plan` may do something for."""
@@ -135,7 +142,7 @@ class Background:
             else:
                 motion = (*find_mass(memory, k, i, begin), *extrapolate_flight(memory, k, i, begin)[2:])
             positions[name], velocities[name] = np.array(motion[:2]), np.array(motion[2:])
-        seen = int(now / PAST_PERIOD + 1e-6) + 1
+        seen = int(now / PAST_PERIOD + EARLY) + 1
         times = np.append(PAST_PERIOD * np.arange(seen), begin)
         tracks = {
             name: np.vstack([memory.past[k, :seen, i], positions[name]]) for i, name in enumerate(self._scenario.bodies)

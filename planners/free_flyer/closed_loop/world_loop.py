@@ -21,6 +21,7 @@ from planners.free_flyer.belief.world_memory import (
     find_next_event,
     find_strike,
 )
+from planners.free_flyer.closed_loop.features import write_features
 from planners.free_flyer.closed_loop.tracker import apply_solution, fill_reference, fill_state, track_course
 from planners.free_flyer.next_impact.bookkeeping import (
     find_due,
@@ -43,7 +44,7 @@ from planners.free_flyer.next_impact.retiming import may_move, retime_impact
 from planners.free_flyer.tracking.mpc import Workspace
 
 # What to do with the worlds.
-START, OBSERVE, CONTROL, ACT, ADOPT, PREPARE, APPLY, DECIDE = range(8)
+START, OBSERVE, RECEIVE, CONTROL, ACT, ADOPT, PREPARE, APPLY, DECIDE, DESCRIBE = range(10)
 
 
 @compiled
@@ -146,6 +147,21 @@ def take_corrections(plan: PlanTable, memory: WorldMemory, options: Options, k: 
 
 
 @compiled
+def correct_impact(
+    plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, corrections: np.ndarray
+) -> int:
+    """Take the correction that is given for object o's coming impact; return the object whose correction is due next.
+
+    Args:
+        corrections: in [-1, 1], shape (N, 2); NaN where none is given, and o's stays due.
+    """
+    if math.isnan(corrections[k, 0]):
+        return o
+    memory.strike[k, o].scale, memory.strike[k, o].turn = corrections[k, 0], corrections[k, 1]
+    return decide_impact(plan, memory, options, k, o)
+
+
+@compiled
 def decide_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int) -> int:
     """Take the correction of object o's coming impact as it is now; return the object whose correction is due next."""
     memory.strike[k, o].is_decided = True
@@ -234,6 +250,8 @@ def run_experts(
     joint: np.ndarray,
     actions: np.ndarray,
     due: np.ndarray,
+    corrections: np.ndarray,
+    features: np.ndarray,
     phase: int,
     c: int,
     first: int,
@@ -250,22 +268,25 @@ def run_experts(
         actions: written by CONTROL, ACT and APPLY, shape (N, r, 3).
         due: object whose coming impact's correction is due, or NO_OBJECT, written by START, OBSERVE and DECIDE, shape
             (N,).
-        phase: START, OBSERVE, CONTROL; ACT: observe and control, and start where time is 0; ADOPT: go on with a new
-            plan; PREPARE, APPLY: control one robot; DECIDE: take the correction that is due, and find the next.
+        corrections: read by DECIDE, see `correct_impact`.
+        features: written by DESCRIBE, see `write_features`.
+        phase: START, OBSERVE, CONTROL; RECEIVE: observe, and start where time is 0; ACT: both and control; ADOPT: go on
+            with a new plan; PREPARE, APPLY: control one robot; DECIDE: take the corrections that are given, and find
+            what is due next; DESCRIBE: write the features.
         c: thread; of PREPARE and APPLY the robot, which has the workspace's row of its number.
         first, end: range of worlds.
     """
     plan_, memory_ = PlanTable(*plan), WorldMemory(*memory)
     options_, workspace_, qp_ = options[0], Workspace(*workspace), RestQP(*qp)
     for k in range(first, end):
-        if phase == START or (phase == ACT and is_start(plan_, joint, k)):
+        if phase == START or (phase in (RECEIVE, ACT) and is_start(plan_, joint, k)):
             start_world(plan_, memory_, options_, k)
             due[k] = NO_OBJECT
         if phase == ADOPT:
             adopt_world(plan_, memory_, options_, k)
         if phase == DECIDE and due[k] != NO_OBJECT:
-            due[k] = decide_impact(plan_, memory_, options_, k, due[k])
-        if phase in (OBSERVE, ACT):
+            due[k] = correct_impact(plan_, memory_, options_, k, due[k], corrections)
+        if phase in (OBSERVE, RECEIVE, ACT):
             due[k] = observe_world(plan_, memory_, options_, qp_, c, k, joint)
         if phase in (CONTROL, ACT):
             control_world(plan_, memory_, options_, workspace_, c, k, actions)
@@ -273,3 +294,5 @@ def run_experts(
             prepare_robot(plan_, memory_, options_, workspace_, k, c)
         if phase == APPLY:
             apply_solution(plan_, memory_, options_, workspace_, c, k, c, workspace_.target[c], actions)
+        if phase == DESCRIBE:
+            write_features(plan_, memory_, options_, k, due[k], features)

@@ -67,6 +67,52 @@ def test_single_and_batch_agree(name: str, suite: str, steps: int) -> None:
     assert all(count > 0 for count in batch.counts["replans"])
 
 
+@pytest.mark.parametrize(("name", "suite"), [("pong", "all"), ("exchange", "nominal")])
+def test_corrections_of_a_batch_are_those_of_single_experts(name: str, suite: str) -> None:
+    """Features, actions and when a correction is due, bit for bit; two objects may be due in one period."""
+    world, plan, count = load(name).suite(suite), plan_of(name), 3
+    vector, batch = vector_env(world, num_envs=count, threads=1), FreeFlyerExpertBatch(world, plan, count)
+    pairs = [(parallel_env(world), FreeFlyerExpert(world, plan)) for _ in range(count)]
+    seen = [start(env, expert, SEED + k) for k, (env, expert) in enumerate(pairs)]
+    joint, rng, answered = vector.reset(seed=SEED)[0], np.random.default_rng(0), 0
+    for _ in range(350):
+        due = batch.observe(joint)
+        for (_, expert), observations in zip(pairs, seen, strict=True):
+            expert.observe(observations)
+        while due.any():
+            features, corrections = batch.features(), rng.uniform(-1.0, 1.0, (count, 2))
+            for k in np.flatnonzero(due).tolist():
+                np.testing.assert_array_equal(features[k], pairs[k][1].features())
+                pairs[k][1].correct(corrections[k])
+            answered += int(due.sum())
+            due = batch.correct(due, corrections)
+            assert [expert.awaiting_correction for _, expert in pairs] == due.tolist()
+        actions = batch.control()
+        for k, (env, expert) in enumerate(pairs):
+            alone = expert.control()
+            np.testing.assert_array_equal(actions[k], flatten(world, alone))
+            seen[k] = env.step(alone)[0]
+        joint = vector.step(actions)[0]
+    assert answered >= 2 * count
+
+
+def test_corrections_nobody_awaits_are_refused() -> None:
+    world, plan = load("throw_and_catch"), plan_of("throw_and_catch")
+    batch, vector = FreeFlyerExpertBatch(world, plan, 2), vector_env(world, num_envs=2, threads=1)
+    joint, both = vector.reset(seed=SEED)[0], np.ones(2, bool)
+    while not batch.observe(joint).any():
+        joint = vector.step(batch.control())[0]
+    for corrections, words in (
+        (np.zeros(2), r"corrections of shape \(2,\)"),
+        (np.full((2, 2), np.inf), r"correction of world 0 must be 2 finite numbers, got \[inf inf\]"),
+    ):
+        with pytest.raises(InputError, match=words):
+            batch.correct(both, corrections)
+    batch.control()
+    with pytest.raises(InputError, match="world 0 awaits no correction now"):
+        batch.correct(both, np.zeros((2, 2)))
+
+
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_agrees_after_an_autoreset(mode: str) -> None:
     """Episodes are cut at 12 s, just after the throw; the second one starts with nothing remembered."""
