@@ -109,7 +109,8 @@ class ImpactEnv(ParallelEnv):
     also ``robustness``, not clipped, and ``success`` of the whole formula on the true signals. ``success`` is whether
     the formula holds: robustness above zero, or exactly zero where its predicates hold at equality (``in``, ``<=``,
     ``>=``; not ``not in``, ``<``, ``>``). If max_cycles cut the horizon, they say what was certain by then: the lower
-    end of the interval, at least minus the diagonal.
+    end of the interval, at least minus the diagonal. ``decided`` says that nothing follows, so that a learner has
+    nothing to bootstrap: the horizon is reached, or the simulation failed.
 
     Raises:
         InputError: ``max_cycles`` is no whole number from 1, or ``render_mode`` is unknown.
@@ -351,7 +352,8 @@ class ImpactEnv(ParallelEnv):
         info["overflow"] = int(isinstance(self.failure, TooManyEvents))
         if over:
             robustness, success = judge(compute_outcome(*self.monitor.ends, self._limit))
-            info |= {"robustness": robustness, "success": success}
+            decided = self.failure is not None or self.steps >= self._last
+            info |= {"robustness": robustness, "success": success, "decided": decided}
         if self.failure is not None:
             info |= {"robustness": -self._limit, "success": False, "failure": str(self.failure)}
         return {agent: dict(info) for agent in self.agents}

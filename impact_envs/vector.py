@@ -34,10 +34,10 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
 
     Observations, rewards and infos are fresh arrays at every call. ``infos`` carries ``robustness_lower``,
     ``robustness_upper``, ``impacts`` (in the last control period) and ``overflow`` (1 where impacts did not end within
-    it) of every world; where an episode ended also
-    ``robustness`` and ``success``, marked by ``_robustness`` and ``_success``; where a simulation failed also
-    ``failure``, an array of texts, marked by ``_failure``; with autoreset in the same step
-    ``final_obs``, marked by ``_final_obs``, and ``final_info``, the infos of the end of all worlds.
+    it) of every world; where an episode ended also ``robustness``, ``success`` and ``decided`` (nothing follows: the
+    horizon is reached, or the simulation failed), each with its mask, ``_robustness`` for example; where a simulation
+    failed also ``failure``, an array of texts, marked by ``_failure``; with autoreset in the same step ``final_obs``,
+    marked by ``_final_obs``, and ``final_info``, the infos of the end of all worlds.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario; of discs.
@@ -194,7 +194,12 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _start_over(self, over: Any, output: Any, infos: dict[str, Any]) -> dict[str, Any]:
         """Start the next episode where one is over; return infos of its start, and of the end."""
-        ends = [name for end in ("robustness", "success", "failure") for name in (end, f"_{end}") if name in infos]
+        ends = [
+            name
+            for end in ("robustness", "success", "decided", "failure")
+            for name in (end, f"_{end}")
+            if name in infos
+        ]
         final = {"final_obs": self._give(_copy(output.joint)), "final_info": infos}
         if self.per_robot:
             final |= {"final_agent_obs": self._give(_copy(output.agents))}
@@ -260,6 +265,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             robustness, success = judge(batch.outcome)
             infos |= {"robustness": robustness * over, "_robustness": _copy(over)}
             infos |= {"success": success & over, "_success": _copy(over)}
+            infos |= {"decided": batch.decided & over, "_decided": _copy(over)}
         failed = batch.failed if over is not None else None
         if self.tensors:
             infos = {name: self._give(value) for name, value in infos.items()}

@@ -79,7 +79,7 @@ class FreeFlyerDecisions:
     @property
     def decided(self) -> np.ndarray:
         """Return where a learner has nothing to bootstrap: at the horizon, or failed, shape (N,) bool."""
-        return self.failed | (self.batch.steps >= self.scenario.steps)
+        return self.batch.decided
 
     def judge(self) -> tuple[np.ndarray, np.ndarray]:
         """Return robustness [m] and success of every world, if its episode ended now, both of shape (N,)."""

@@ -92,6 +92,11 @@ class BatchViews:
         """Return which episodes are at their end, shape (N,)."""
         return (self.steps >= self._last) | self.failed
 
+    @property
+    def decided(self) -> Any:
+        """Return where nothing follows: at the horizon, or failed, shape (N,)."""
+        return (self.steps >= self.scenario.steps) | self.failed
+
     def describe_failures(self) -> np.ndarray:
         """Return why each world failed, "" where it did not, shape (N,) of texts."""
         texts = np.full(self.count, "", dtype=object)

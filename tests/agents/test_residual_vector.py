@@ -178,6 +178,11 @@ def test_bad_arguments_are_named(options: dict[str, Any], words: str) -> None:
         make("throw_and_catch", **options)
 
 
+def step_for_ever(worlds: ResidualVectorEnv) -> None:
+    while True:
+        worlds.step(np.zeros((worlds.num_envs, 2)))
+
+
 def test_ctrl_c_is_answered_while_worlds_run() -> None:
     """A whole episode of 512 worlds takes seconds; whoever interrupts has to reset."""
     worlds = make("pong", worlds=512, threads=2, options={"plan_anew": False})
@@ -186,8 +191,7 @@ def test_ctrl_c_is_answered_while_worlds_run() -> None:
     timer.start()
     asked = time.perf_counter() + 0.3
     with pytest.raises(KeyboardInterrupt):
-        while True:
-            worlds.step(np.zeros((512, 2)))
+        step_for_ever(worlds)
     assert time.perf_counter() - asked < 2.0
     with pytest.raises(ResetNeeded):
         worlds.step(np.zeros((512, 2)))

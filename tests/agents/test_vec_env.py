@@ -8,9 +8,11 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from agents.vec_env import ImpactVecEnv
+from agents.residual_vector import ResidualVectorEnv
+from agents.vec_env import ImpactVecEnv, ResidualVecEnv
 from impact_envs import JointEnv, load_scenario, parallel_env
 from impact_envs.errors import InputError
+from tests.frozen.freeze import get_plan
 
 SCENARIO = load_scenario("throw_and_catch").suite("all")
 WORLDS, CYCLES, STEPS, SEED = 3, 7, 24, 5
@@ -122,6 +124,19 @@ def test_an_end_is_a_truncation_whose_observation_is_the_last_one(per_robot):
         assert last[-3] == pytest.approx(CYCLES * SCENARIO.control_period / SCENARIO.horizon)
         assert first[-3] == 0.0
         assert envs.observation_space.contains(last)
+
+
+@pytest.mark.parametrize("per_robot", [False, True])
+def test_at_the_horizon_the_formula_is_decided_and_nothing_is_bootstrapped(per_robot):
+    world = SCENARIO.shorten(0.02)
+    envs, value = ImpactVecEnv(world, WORLDS, per_robot, dtype="float64", threads=1), 10.0
+    model = make_model(PPO, envs, n_steps=world.steps, batch_size=world.steps, n_epochs=1, gamma=0.5)
+    torch.nn.init.zeros_(model.policy.value_net.weight)
+    torch.nn.init.constant_(model.policy.value_net.bias, value)
+    model.learn(world.steps * envs.num_envs)
+    returns = [info["r"] for info in model.ep_info_buffer]
+    assert len(returns) == envs.num_envs
+    assert np.allclose(model.rollout_buffer.rewards.sum(axis=0), returns, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("per_robot", [False, True])
@@ -304,3 +319,38 @@ def test_bad_actions_are_refused_and_nothing_is_stepped():
     assert np.array_equal(envs.step(actions)[0], twin.step(actions)[0])
     with pytest.raises(InputError, match="num_envs = 0"):
         make_envs(0)
+
+
+def test_residual_worlds_are_the_vector_environments_step_by_step():
+    """Ends at the horizon are decided, a cut by `max_cycles` is not; lengths are in control periods."""
+    plan = get_plan("throw_and_catch", "all")
+    for cycles in (None, 120):
+        envs = ResidualVecEnv("throw_and_catch", WORLDS, "all", plan, max_cycles=cycles, threads=1)
+        worlds = ResidualVectorEnv("throw_and_catch", WORLDS, "all", plan, None, "SameStep", cycles, threads=1)
+        envs.seed(SEED)
+        assert np.array_equal(envs.reset(), worlds.reset(seed=SEED)[0])
+        ended, returns = np.zeros(WORLDS, bool), np.zeros(WORLDS)
+        while not ended.any():
+            corrections = np.full((WORLDS, 2), 0.2, np.float32)
+            features, rewards, ended, infos = envs.step(corrections)
+            expected, theirs, _, over, last = worlds.step(corrections)
+            returns += rewards
+            assert np.array_equal(features, expected)
+            assert np.array_equal(rewards, theirs)
+            assert np.array_equal(ended, over)
+        for k in np.flatnonzero(ended):
+            assert np.array_equal(infos[k]["terminal_observation"], last["final_obs"][k])
+            assert infos[k]["TimeLimit.truncated"] is (cycles is not None)
+            assert infos[k]["episode"]["l"] == (cycles or SCENARIO.steps)
+            assert infos[k]["episode"]["r"] == pytest.approx(returns[k], abs=1e-6)
+            assert infos[k]["robustness"] == last["robustness"][k]
+
+
+def test_ppo_learns_on_residual_worlds():
+    plan = get_plan("throw_and_catch", "all")
+    envs = ResidualVecEnv("throw_and_catch", 8, "all", plan, {"plan_anew": False}, threads=1)
+    model = make_model(PPO, VecNormalize(envs, gamma=1.0), n_steps=8, batch_size=32, gamma=1.0)
+    model.learn(128)
+    assert model.num_timesteps == 128
+    assert {info["l"] for info in model.ep_info_buffer} == {SCENARIO.steps}
+    assert all(torch.isfinite(tensor).all() for tensor in model.policy.state_dict().values())

@@ -49,9 +49,9 @@ def check_infos(mine, theirs, over):
         assert "success" not in mine
         return
     last = theirs.get("final_info", theirs)
-    for name in (*ALWAYS, "robustness", "success"):
+    for name in (*ALWAYS, "robustness", "success", "decided"):
         assert np.array_equal(mine.get("final_info", mine)[name][over], last[name][over])
-    for name in ("robustness", "success"):
+    for name in ("robustness", "success", "decided"):
         assert np.array_equal(mine[f"_{name}"], over)
         assert np.array_equal(mine[name][over], last[name][over])
 
