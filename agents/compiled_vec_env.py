@@ -37,7 +37,6 @@ class CompiledVecEnv(VecEnv):
             "action_space": action,
         }
         super().__init__(worlds.num_envs * per_world, observation, action)
-        self._actions: np.ndarray | None = None
         self._forget()
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -165,6 +164,7 @@ class CompiledVecEnv(VecEnv):
         return ended, infos
 
     def _forget(self) -> None:
-        self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, np.int64)
-        self._actions = None
+        self._returns: np.ndarray = np.zeros(self.num_envs)
+        self._lengths: np.ndarray = np.zeros(self.num_envs, np.int64)
+        self._actions: np.ndarray | None = None
         self._start = time.time()
