@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from impact_envs.compiled import compiled
 
+from impact_envs.compiled import compiled
 from impact_envs.errors import InputError
 
 Three = tuple[float, float, float]

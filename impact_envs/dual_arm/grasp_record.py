@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from impact_envs.compiled import compiled
 
+from impact_envs.compiled import compiled
 from impact_envs.dual_arm.plant import NORMAL
 
 # Columns of the values, in the order of `schema.GRASP_SIGNALS`.

@@ -11,8 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from impact_envs.compiled import compiled
 
+from impact_envs.compiled import compiled
 from impact_envs.dual_arm.arm import L1, L2, L3, X, Y, solve_arm
 from impact_envs.dual_arm.schema import DEEPEST, DualArmScenario, Physics
 from impact_envs.physics.contact import compute_friction, compute_normal_force
