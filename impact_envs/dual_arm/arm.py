@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from impact_envs.errors import InputError
 
 Three = tuple[float, float, float]
@@ -53,7 +53,7 @@ def make_arm(
     return np.array([*base, *lengths, *couplings, *(g * moment for moment in load)])
 
 
-@njit(cache=True)
+@compiled
 def compute_pose(arm: np.ndarray, q1: float, q2: float, q3: float) -> tuple[float, float, float]:
     """Return position x, y [m] and angle [rad] of the arm's end."""
     a1, a2, a3 = q1, q1 + q2, q1 + q2 + q3
@@ -62,7 +62,7 @@ def compute_pose(arm: np.ndarray, q1: float, q2: float, q3: float) -> tuple[floa
     return x, y, a3
 
 
-@njit(cache=True)
+@compiled
 def solve_arm(
     arm: np.ndarray, a1: float, a2: float, a3: float, w1: float, w2: float, w3: float, f1: float, f2: float, f3: float
 ) -> tuple[float, float, float]:
@@ -96,7 +96,7 @@ def solve_arm(
     )
 
 
-@njit(cache=True)
+@compiled
 def compute_dynamics(arm: np.ndarray, q: np.ndarray, v: np.ndarray, M: np.ndarray, h: np.ndarray) -> None:
     """Write M and h of M q'' + h = tau.
 
@@ -123,7 +123,7 @@ def compute_dynamics(arm: np.ndarray, q: np.ndarray, v: np.ndarray, M: np.ndarra
     M[1, 0], M[2, 0], M[2, 1] = M[0, 1], M[0, 2], M[1, 2]
 
 
-@njit(cache=True)
+@compiled
 def compute_kinematics(
     arm: np.ndarray, q: np.ndarray, v: np.ndarray, pose: np.ndarray, J: np.ndarray, drift: np.ndarray
 ) -> None:

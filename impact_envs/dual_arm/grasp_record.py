@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from impact_envs.dual_arm.plant import NORMAL
 
 # Columns of the values, in the order of `schema.GRASP_SIGNALS`.
@@ -50,7 +50,7 @@ def begin_period(record: GraspRecord) -> None:
     record.values[:, FORCE_MAX : TORQUE_STEP + 1] = 0.0
 
 
-@njit(cache=True)
+@compiled
 def add_tick(
     record: GraspRecord, contacts: np.ndarray, sums: np.ndarray, tau: np.ndarray, limits: np.ndarray, tick: float
 ) -> None:
@@ -95,7 +95,7 @@ def add_tick(
     marks[COUNT] += 1
 
 
-@njit(cache=True)
+@compiled
 def update_grasp(record: GraspRecord, contacts: np.ndarray, sums: np.ndarray, tick: float) -> None:
     """Update the time between the impacts, the time until full contact, and the slip since then.
 
@@ -117,10 +117,12 @@ def update_grasp(record: GraspRecord, contacts: np.ndarray, sums: np.ndarray, ti
     full = min(contacts[0, NORMAL], contacts[1, NORMAL], contacts[2, NORMAL], contacts[3, NORMAL]) > GRASP_FORCE
     marks[HELD] = marks[HELD] + 1 if full else 0
     if first >= 0 and marks[GRASP] < 0:
-        values[:, INTERIM] = (count - first) * tick
+        for i in range(3):
+            values[i, INTERIM] = (count - first) * tick
         if marks[HELD] >= round(GRASP_TIME / tick):
             marks[GRASP] = count
-            slips[:] = sums[:, 0]
+            for i in range(4):
+                slips[i] = sums[i, 0]
     if marks[GRASP] >= 0:
         for i in range(2):
             values[i, SLIP] = max(abs(sums[2 * i, 0] - slips[2 * i]), abs(sums[2 * i + 1, 0] - slips[2 * i + 1]))

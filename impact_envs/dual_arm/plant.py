@@ -11,8 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from impact_envs.dual_arm.arm import L1, L2, L3, X, Y, solve_arm
 from impact_envs.dual_arm.schema import DEEPEST, DualArmScenario, Physics
 from impact_envs.physics.contact import compute_friction, compute_normal_force
@@ -54,7 +54,7 @@ class Plant(NamedTuple):
         gravity: [m/s^2].
         pad_half_height: [m].
         pads: the pads' surface.
-        table_pose: x, y of a point of the table's plane, its angle, shape (3,) [m], [rad].
+        table_pose: x, y of a point of the table's plane [m], cosine and sine of its angle, shape (4,).
         table: the table's surface.
     """
 
@@ -107,14 +107,25 @@ def make_plant(scenario: DualArmScenario, physics: Physics) -> Plant:
         gravity=scenario.gravity,
         pad_half_height=links.pad_half_height,
         pads=TrueSurface(physics.stiffness, physics.damping, pads.exponent, physics.friction, pads.friction_slope),
-        table_pose=np.array([x + drop * np.sin(heading), y - drop * np.cos(heading), heading]),
+        table_pose=np.array(
+            [x + drop * np.sin(heading), y - drop * np.cos(heading), math.cos(heading), math.sin(heading)]
+        ),
         table=TrueSurface(table.stiffness, table.damping, table.exponent, table.friction, table.friction_slope),
     )
 
 
-@njit(cache=True)
+@compiled
 def compute_pad_contact(
-    plant: Plant, s: np.ndarray, side: float, x: float, y: float, vx: float, vy: float, contact: np.ndarray
+    plant: Plant,
+    s: np.ndarray,
+    c: float,
+    d: float,
+    side: float,
+    x: float,
+    y: float,
+    vx: float,
+    vy: float,
+    contact: np.ndarray,
 ) -> None:
     """Write gap, rates and forces of one pad corner against its face of the box.
 
@@ -123,6 +134,7 @@ def compute_pad_contact(
     Args:
         plant: numbers of the world.
         s: state, shape (30,).
+        c, d: cosine and sine of the box's angle.
         side: 1 for the face at -x, -1 for the one at +x.
         x, y: the corner [m].
         vx, vy: its velocity [m/s].
@@ -130,7 +142,6 @@ def compute_pad_contact(
 
     Source: van Steen et al., Eqs. 5 to 7.
     """
-    c, d = math.cos(s[BOX + 2]), math.sin(s[BOX + 2])
     dx, dy = x - s[BOX], y - s[BOX + 1]
     ux, uy = vx - s[BOX + 3], vy - s[BOX + 4]
     rx, ry = c * dx + d * dy, c * dy - d * dx
@@ -141,10 +152,12 @@ def compute_pad_contact(
         normal = compute_normal_force(gap, -side * rate_x, pads.stiffness, pads.damping, pads.exponent)
     contact[GAP], contact[GAP_RATE], contact[SLIP_RATE] = gap, -side * rate_x, rate_y
     contact[NORMAL] = normal
-    contact[TANGENTIAL] = compute_friction(normal, rate_y, pads.friction, pads.friction_slope)
+    contact[TANGENTIAL] = 0.0
+    if normal > 0.0:
+        contact[TANGENTIAL] = compute_friction(normal, rate_y, pads.friction, pads.friction_slope)
 
 
-@njit(cache=True)
+@compiled
 def push_box(s: np.ndarray, force: np.ndarray, x: float, y: float, fx: float, fy: float) -> None:
     """Add a force at a point to the resultant force and torque on the box.
 
@@ -159,9 +172,17 @@ def push_box(s: np.ndarray, force: np.ndarray, x: float, y: float, fx: float, fy
     force[2] += (x - s[BOX]) * fy - (y - s[BOX + 1]) * fx
 
 
-@njit(cache=True)
+@compiled
 def move_arm(
-    plant: Plant, i: int, tau: np.ndarray, s: np.ndarray, ds: np.ndarray, contacts: np.ndarray, force: np.ndarray
+    plant: Plant,
+    i: int,
+    tau: np.ndarray,
+    s: np.ndarray,
+    c: float,
+    d: float,
+    ds: np.ndarray,
+    contacts: np.ndarray,
+    force: np.ndarray,
 ) -> None:
     """Write the derivative of one arm's state, and add the forces of its pad on the box.
 
@@ -173,6 +194,7 @@ def move_arm(
         i: arm, 0 or 1.
         tau: commanded torques u, shape (2, 3) [N m].
         s: state, shape (30,).
+        c, d: cosine and sine of the box's angle.
         ds: its derivative, written in the arm's part, shape (30,).
         contacts: written in the arm's rows, shape (6, 5).
         force: on the box, added to, shape (3,) [N, N m].
@@ -195,12 +217,11 @@ def move_arm(
     vx, vy = -y1 * w1 - y2 * w2 - y3 * w3, x1 * w1 + x2 * w2 + x3 * w3
     f1, f2, f3 = 0.0, 0.0, 0.0
     side = 1.0 - 2.0 * i
-    c, d = math.cos(s[BOX + 2]), math.sin(s[BOX + 2])
     for k in range(2):
         h = plant.pad_half_height * (1.0 - 2.0 * k)
         rx, ry = -h * d3, h * c3
         contact = contacts[2 * i + k]
-        compute_pad_contact(plant, s, side, x + rx, y + ry, vx - w3 * ry, vy + w3 * rx, contact)
+        compute_pad_contact(plant, s, c, d, side, x + rx, y + ry, vx - w3 * ry, vy + w3 * rx, contact)
         if contact[NORMAL] > 0.0:
             normal, tangential = side * contact[NORMAL], contact[TANGENTIAL]
             fx, fy = c * normal - d * tangential, d * normal + c * tangential
@@ -228,19 +249,18 @@ def move_arm(
     ds[n + 3], ds[n + 4], ds[n + 5] = b1, b2 - b1, b3 - b2
 
 
-@njit(cache=True)
-def support_box(plant: Plant, s: np.ndarray, contacts: np.ndarray, force: np.ndarray) -> None:
+@compiled
+def support_box(plant: Plant, s: np.ndarray, c: float, d: float, contacts: np.ndarray, force: np.ndarray) -> None:
     """Write the table's contacts with the box's lower corners, and add their forces on the box.
 
     Args:
         plant: numbers of the world.
         s: state, shape (30,).
+        c, d: cosine and sine of the box's angle.
         contacts: rows 4 and 5 are written, shape (6, 5).
         force: on the box, added to, shape (3,) [N, N m].
     """
-    c, d = math.cos(s[BOX + 2]), math.sin(s[BOX + 2])
-    table_x, table_y, angle = plant.table_pose[0], plant.table_pose[1], plant.table_pose[2]
-    tx, ty = math.cos(angle), math.sin(angle)
+    table_x, table_y, tx, ty = plant.table_pose[0], plant.table_pose[1], plant.table_pose[2], plant.table_pose[3]
     table = plant.table
     for k in range(2):
         bx, by = (2.0 * k - 1.0) * plant.half_width, -plant.half_height
@@ -250,14 +270,17 @@ def support_box(plant: Plant, s: np.ndarray, contacts: np.ndarray, force: np.nda
         gap = tx * (py - table_y) - ty * (px - table_x)
         rate, slip = tx * vy - ty * vx, tx * vx + ty * vy
         normal = compute_normal_force(gap, rate, table.stiffness, table.damping, table.exponent)
-        tangential = compute_friction(normal, slip, table.friction, table.friction_slope)
         contact = contacts[4 + k]
         contact[GAP], contact[GAP_RATE], contact[SLIP_RATE] = gap, rate, slip
-        contact[NORMAL], contact[TANGENTIAL] = normal, tangential
-        push_box(s, force, px, py, -ty * normal - tx * tangential, tx * normal - ty * tangential)
+        contact[NORMAL] = normal
+        contact[TANGENTIAL] = 0.0
+        if normal > 0.0:
+            tangential = compute_friction(normal, slip, table.friction, table.friction_slope)
+            contact[TANGENTIAL] = tangential
+            push_box(s, force, px, py, -ty * normal - tx * tangential, tx * normal - ty * tangential)
 
 
-@njit(cache=True)
+@compiled
 def compute_derivative(
     plant: Plant, tau: np.ndarray, s: np.ndarray, ds: np.ndarray, contacts: np.ndarray, force: np.ndarray
 ) -> None:
@@ -274,9 +297,10 @@ def compute_derivative(
     Source: van Steen et al., Eqs. 3 and 4.
     """
     force[0] = force[1] = force[2] = 0.0
+    c, d = math.cos(s[BOX + 2]), math.sin(s[BOX + 2])
     for i in range(2):
-        move_arm(plant, i, tau, s, ds, contacts, force)
-    support_box(plant, s, contacts, force)
+        move_arm(plant, i, tau, s, c, d, ds, contacts, force)
+    support_box(plant, s, c, d, contacts, force)
     for j in range(3):
         ds[BOX + j] = s[BOX + 3 + j]
     ds[BOX + 3] = force[0] / plant.box_mass
@@ -284,7 +308,7 @@ def compute_derivative(
     ds[BOX + 5] = force[2] / plant.box_inertia
 
 
-@njit(cache=True)
+@compiled
 def advance_state(
     plant: Plant,
     tau: np.ndarray,

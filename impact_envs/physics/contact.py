@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from impact_envs.compiled import compiled
 
 
-@njit(cache=True)
+@compiled
 def compute_normal_force(gap: float, gap_rate: float, stiffness: float, damping: float, exponent: float) -> float:
     """Return the force that pushes two surfaces apart: Hunt-Crossley, exponentially extended to separation.
 
@@ -38,7 +38,7 @@ def compute_normal_force(gap: float, gap_rate: float, stiffness: float, damping:
     return factor * (-gap) ** exponent
 
 
-@njit(cache=True)
+@compiled
 def compute_friction(normal_force: float, slip_rate: float, friction: float, slope: float) -> float:
     """Return the smoothed Coulomb force that the moving surface puts on the other, along its slip.
 

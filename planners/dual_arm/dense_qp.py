@@ -1,4 +1,4 @@
-"""Solvers of small dense quadratic programs: DAQP, and Clarabel to check it."""
+"""Solvers of the torques' quadratic programs: ours, compiled; DAQP; and Clarabel to check both."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ from collections.abc import Callable
 import numpy as np
 
 from impact_envs.errors import InputError, choices
-from planners.dual_arm.torque_qp import CONTACT_ROWS, TorqueQP
+from planners.dual_arm.torque_qp import BOUNDED, CONTACT_ROWS, EQUAL, TorqueQP
 from planners.errors import Infeasible, SolverFailed
+from planners.goldfarb_idnani import INFEASIBLE, SOLVED, make_workspace, solve_qp
 
 REMEDY = "relax torque limits or friction, or use the slack form"
+COMPILED = "goldfarb_idnani"  # the solver that a compiled control loop has
 CLARABEL_TOLERANCE = 1e-11  # absolute, relative and of the constraints
 
 
-def get_solver(name: str = "daqp") -> Callable[[TorqueQP], np.ndarray]:
+def get_solver(name: str = COMPILED) -> Callable[[TorqueQP], np.ndarray]:
     """Return the function that solves a program.
 
     Args:
-        name: "daqp" or "clarabel".
+        name: of `SOLVERS`.
 
     Returns:
         A function from a program to its minimiser, shape (n,).
@@ -30,6 +32,26 @@ def get_solver(name: str = "daqp") -> Callable[[TorqueQP], np.ndarray]:
     if name not in SOLVERS:
         raise InputError(f"solver '{name}' is unknown; {choices(name, SOLVERS)}")
     return SOLVERS[name]
+
+
+def solve_goldfarb_idnani(qp: TorqueQP) -> np.ndarray:
+    """Solve a program with Goldfarb and Idnani's dual active-set method, as the compiled control loop does.
+
+    Returns:
+        The minimiser, shape (n,).
+
+    Raises:
+        Infeasible: the program has no solution.
+        SolverFailed: the method stopped early.
+    """
+    H, f, A, lower, upper, sense = qp
+    x, work = np.zeros(len(f)), make_workspace(len(f), len(sense))
+    status = solve_qp(H, f, A, lower, upper, BOUNDED, int((sense == EQUAL).sum()), work, x)
+    if status == SOLVED:
+        return x
+    if status == INFEASIBLE:
+        raise Infeasible("reference spreading", "Goldfarb-Idnani: infeasible", REMEDY)
+    raise SolverFailed("reference spreading", "Goldfarb-Idnani: stopped early", REMEDY)
 
 
 def solve_daqp(qp: TorqueQP) -> np.ndarray:
@@ -67,8 +89,8 @@ def solve_clarabel(qp: TorqueQP) -> np.ndarray:
     from scipy import sparse
 
     H, f, A, lower, upper, sense = qp
-    rows = np.vstack([np.eye(6, len(f)), A])
-    equal = sense == 5
+    rows = np.vstack([np.eye(BOUNDED, len(f)), A])
+    equal = sense == EQUAL
     above, below = ~equal & np.isfinite(upper), ~equal & np.isfinite(lower)
     G = np.vstack([rows[equal], rows[above], -rows[below]])
     h = np.concatenate([upper[equal], upper[above], -lower[below]])
@@ -88,7 +110,7 @@ def solve_clarabel(qp: TorqueQP) -> np.ndarray:
     raise SolverFailed("reference spreading", f"Clarabel: {status}", REMEDY)
 
 
-SOLVERS = {"daqp": solve_daqp, "clarabel": solve_clarabel}
+SOLVERS = {COMPILED: solve_goldfarb_idnani, "daqp": solve_daqp, "clarabel": solve_clarabel}
 
 
 def relax_contacts(qp: TorqueQP, weight: float) -> TorqueQP:

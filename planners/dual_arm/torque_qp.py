@@ -22,6 +22,8 @@ from planners.dual_arm.terms import Terms, compute_nominal_rates, compute_terms,
 
 TAU, QDD, BOX, NORMAL, TANGENTIAL = 0, 6, 12, 15, 19  # where the parts of x begin
 FREE, GRASP = (12, 6), (23, 23)  # sizes: unknowns and rows of A, without and with the box
+BOUNDED = 6  # unknowns with bounds: the torques
+EQUAL = 5  # sense of an equality, as DAQP has it
 CONTACT_ROWS = range(9, 15)  # of A: no acceleration between pads and box
 EQUALITIES = {FREE: 6, GRASP: 15}
 # Added to the diagonal of H to make it definite: torques, and the split of tangential forces on a pad, have no cost.
@@ -81,7 +83,7 @@ def make_torque_qp(size: tuple[int, int], limits: np.ndarray) -> TorqueQP:
     n, m = size
     bound = np.full(6 + m, np.inf)
     sense = np.zeros(6 + m, dtype=np.int32)
-    sense[6 : 6 + EQUALITIES[size]] = 5
+    sense[6 : 6 + EQUALITIES[size]] = EQUAL
     qp = TorqueQP(np.zeros((n, n)), np.zeros(n), np.zeros((m, n)), -bound, bound, sense)
     qp.upper[:6] = limits.ravel()
     qp.lower[:6] = -limits.ravel()

@@ -250,7 +250,7 @@ def test_bad_options_are_refused():
         replace_options(EXPERT, {"controller.k_int": -1.0})
     with pytest.raises(InputError, match="did you mean 'no_interim_phase'"):
         DualArmExpert(SCENARIO, "no_interim")
-    with pytest.raises(InputError, match="solver 'osqp' is unknown; choices: daqp, clarabel"):
+    with pytest.raises(InputError, match="solver 'osqp' is unknown; choices: goldfarb_idnani, daqp, clarabel"):
         make_expert("dual_arm_grasp", options={"solver": "osqp"})
     with pytest.raises(InputError, match="needs an impact map"):
         ReferenceSpreading(SCENARIO, None)

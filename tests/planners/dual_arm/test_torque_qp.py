@@ -7,7 +7,7 @@ import pytest
 import impact_envs
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.errors import InputError
-from planners.dual_arm.dense_qp import get_solver, relax_contacts, solve_clarabel
+from planners.dual_arm.dense_qp import get_solver, relax_contacts, solve_clarabel, solve_daqp, solve_goldfarb_idnani
 from planners.dual_arm.grasp_qp import assemble_post
 from planners.dual_arm.options import EXPERT
 from planners.dual_arm.reference import PostField, compute_ante_velocity
@@ -74,8 +74,26 @@ def solution_error(program: TorqueQP, x: np.ndarray) -> float:
     return max(np.abs(rows[active].T @ multipliers + gradient).max(), max(wrong, default=0.0), outside)
 
 
-def test_solutions_agree_with_a_second_solver():
-    solve = get_solver("daqp")
+def test_torques_equal_daqps():
+    """Also where torques are at their limits, and in the slack form; the split of tangential forces has no cost."""
+    at_limit = 0
+    for program in programs(5):
+        for limit in (70.0, 12.0):
+            narrow = program._replace(lower=program.lower.copy(), upper=program.upper.copy())
+            narrow.upper[:6], narrow.lower[:6] = limit, -limit
+            forms = [narrow]
+            if len(program.f) == GRASP[0]:
+                forms = [relax_contacts(narrow, 1.0)] + ([narrow] if limit == 70.0 else [])
+            for form in forms:
+                x, y = solve_goldfarb_idnani(form), solve_daqp(form)
+                assert np.abs(x[:6] - y[:6]).max() < 1e-9
+                at_limit += int((np.abs(x[:6]) > limit - 1e-9).sum())
+    assert at_limit > 20
+
+
+@pytest.mark.parametrize("name", ["goldfarb_idnani", "daqp"])
+def test_solutions_agree_with_an_interior_point_method(name):
+    solve = get_solver(name)
     for program in programs(0):
         x = solve(program)
         assert np.abs(x[:6] - solve_clarabel(program)[:6]).max() < 1e-6
