@@ -19,7 +19,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from impact_envs.compiled import compiled
 
 # What is done with a reading, in `COUNTS` by name; the first two are replaced by a prediction.
 MISSING, REJECTED, TAKEN_UP, BELIEVED = range(4)
@@ -64,7 +65,7 @@ def open_gate(gate: np.ndarray, q: np.ndarray, known: bool = True) -> None:
     gate[STATE, UNREAD] = 0.0 if known else NEVER
 
 
-@njit(cache=True)
+@compiled
 def judge_reading(gate: np.ndarray, q: np.ndarray, v: np.ndarray, period: float, touched: bool, patience: float) -> int:
     """Return what is done with a reading; if it is believed or taken up, it is what is believed now.
 
@@ -107,7 +108,7 @@ def judge_reading(gate: np.ndarray, q: np.ndarray, v: np.ndarray, period: float,
     return BELIEVED if near else TAKEN_UP
 
 
-@njit(cache=True)
+@compiled
 def is_near(gate: np.ndarray, row: int, q: np.ndarray, v: np.ndarray, period: float, dt: float, hit: bool) -> bool:
     """Return whether coordinates and rates lie within reach of others a period before them.
 
@@ -130,7 +131,7 @@ def is_near(gate: np.ndarray, row: int, q: np.ndarray, v: np.ndarray, period: fl
     return True
 
 
-@njit(cache=True)
+@compiled
 def predict_reading(gate: np.ndarray, a: np.ndarray, period: float) -> None:
     """Move on what is believed by a period instead of a reading: q += T v + T^2 a / 2, v += T a.
 

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Motor, Physics
 
 
@@ -41,7 +41,7 @@ def compute_forces(
     return force
 
 
-@njit(cache=True)
+@compiled
 def limit_torques(
     v: np.ndarray, stall_torque: np.ndarray, no_load_speed: np.ndarray, command: np.ndarray, force: np.ndarray
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
+from impact_envs.compiled import compiled
 
 
 class Contact(NamedTuple):
@@ -30,7 +30,7 @@ class Contact(NamedTuple):
     bias: float
 
 
-@njit(cache=True)
+@compiled
 def compute_contact(
     tip: tuple[float, float, float, float, float, float],
     radius: float,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from impact_envs.floating_manipulator.flow import (
     Scratch,
     System,
@@ -27,7 +27,7 @@ STRIDE = 0.1
 FLOWN, HIT, RELEASED = 0, 1, 2
 
 
-@njit(cache=True)
+@compiled
 def look_ahead(
     system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, h: float, scratch: Scratch
 ) -> tuple[float, float]:
@@ -37,7 +37,7 @@ def look_ahead(
     return contact.gap, contact.rate
 
 
-@njit(cache=True)
+@compiled
 def find_turn(
     system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, h: float, sign: float, scratch: Scratch
 ) -> float:
@@ -53,7 +53,7 @@ def find_turn(
     return low
 
 
-@njit(cache=True)
+@compiled
 def find_hit(
     system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, h: float, scratch: Scratch
 ) -> tuple[bool, float]:
@@ -100,7 +100,7 @@ def find_hit(
     return True, low
 
 
-@njit(cache=True)
+@compiled
 def find_release(
     system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, h: float, scratch: Scratch
 ) -> tuple[bool, float]:
@@ -129,7 +129,7 @@ def find_release(
     return True, low
 
 
-@njit(cache=True)
+@compiled
 def close_gap(system: System, q: np.ndarray, v: np.ndarray, scratch: Scratch) -> None:
     """Correct the rounding errors of a closed gap and of its rate, by equal and opposite impulses."""
     contact = find_contact(system, q, v, scratch)
@@ -141,7 +141,7 @@ def close_gap(system: System, q: np.ndarray, v: np.ndarray, scratch: Scratch) ->
         v[i] -= scratch.response[i] * contact.rate / inverse_mass
 
 
-@njit(cache=True)
+@compiled
 def advance_to_event(
     system: System,
     force: np.ndarray,
@@ -176,8 +176,8 @@ def advance_to_event(
             happened, when = find_hit(system, force, q, v, h, scratch)
         if happened:
             take_step(system, force, q, v, when, touching, scratch)
-        q[:] = scratch.q_next
-        v[:] = scratch.v_next
+        for i in range(len(q)):
+            q[i], v[i] = scratch.q_next[i], scratch.v_next[i]
         t += when
         if touching:
             close_gap(system, q, v, scratch)

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from impact_envs.floating_manipulator.contact import Contact, compute_contact
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
 from impact_envs.physics.multibody import (
@@ -99,7 +99,7 @@ def make_scratch(joints: int) -> Scratch:
     return Scratch(*(np.zeros(shape) for shape in shapes))
 
 
-@njit(cache=True)
+@compiled
 def find_contact(system: System, q: np.ndarray, v: np.ndarray, scratch: Scratch) -> Contact:
     """Return the contact geometry of tip and box; scratch holds the directions."""
     m = len(q)
@@ -110,7 +110,7 @@ def find_contact(system: System, q: np.ndarray, v: np.ndarray, scratch: Scratch)
     return compute_contact(tip, system.radius, box, system.half_length, system.half_width)
 
 
-@njit(cache=True)
+@compiled
 def compute_response(system: System, contact: Contact, scratch: Scratch) -> float:
     """Compute the response to an impulse p along the normal, dv = response p; scratch must hold the factor of M.
 
@@ -139,7 +139,7 @@ def compute_response(system: System, contact: Contact, scratch: Scratch) -> floa
     return inverse_mass
 
 
-@njit(cache=True)
+@compiled
 def compute_acceleration(
     system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, touching: bool, a: np.ndarray, scratch: Scratch
 ) -> float:
@@ -181,7 +181,7 @@ def compute_acceleration(
     return press
 
 
-@njit(cache=True)
+@compiled
 def take_step(
     system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, h: float, touching: bool, scratch: Scratch
 ) -> None:
@@ -203,7 +203,7 @@ def take_step(
         scratch.v_next[i] = v[i] + h / 6.0 * (a[0, i] + 2.0 * a[1, i] + 2.0 * a[2, i] + a[3, i])
 
 
-@njit(cache=True)
+@compiled
 def compute_opening(system: System, force: np.ndarray, q: np.ndarray, v: np.ndarray, scratch: Scratch) -> float:
     """Return the acceleration of the gap in free flight [m/s^2]; scratch holds row and response of the contact."""
     compute_acceleration(system, force, q, v, False, scratch.a[0], scratch)
@@ -215,7 +215,7 @@ def compute_opening(system: System, force: np.ndarray, q: np.ndarray, v: np.ndar
     return opening
 
 
-@njit(cache=True)
+@compiled
 def compute_rows(system: System, q: np.ndarray, v: np.ndarray, scratch: Scratch, rows: np.ndarray) -> None:
     """Compute x, y, vx, vy, heading, omega of base, links, tip and box.
 

@@ -9,9 +9,9 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from impact_envs.agent_vectors import read_vectors
+from impact_envs.compiled import compiled
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact
@@ -91,7 +91,7 @@ def select_felt(impacts: Sequence[Impact]) -> list[Impact]:
     return [impact for impact in impacts if impact.speed > FELT_SPEED]
 
 
-@njit(cache=True)
+@compiled
 def write_observation(
     states: np.ndarray, contact: bool, fraction: float, bounds: tuple[float, float], at: Places, vector: np.ndarray
 ) -> None:

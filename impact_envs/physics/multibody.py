@@ -16,7 +16,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from impact_envs.compiled import compiled
 
 
 class Chain(NamedTuple):
@@ -69,7 +70,7 @@ def make_chain(
     return Chain(float(masses.sum()), np.array(mount, dtype=float), masses @ levers, second, inertia, levers)
 
 
-@njit(cache=True)
+@compiled
 def compute_directions(chain: Chain, q: np.ndarray, v: np.ndarray, w: np.ndarray, rates: np.ndarray) -> None:
     """Compute the directions w_j and the absolute angular rates of base and links.
 
@@ -91,7 +92,7 @@ def compute_directions(chain: Chain, q: np.ndarray, v: np.ndarray, w: np.ndarray
         rates[j] = rate
 
 
-@njit(cache=True)
+@compiled
 def compute_mass_matrix(chain: Chain, w: np.ndarray, M: np.ndarray) -> None:
     """Compute the mass matrix.
 
@@ -119,7 +120,7 @@ def compute_mass_matrix(chain: Chain, w: np.ndarray, M: np.ndarray) -> None:
             M[j, i] += M[j + 1, i]
 
 
-@njit(cache=True)
+@compiled
 def compute_bias(chain: Chain, w: np.ndarray, rates: np.ndarray, c: np.ndarray) -> None:
     """Compute the centrifugal and Coriolis forces c in M dv/dt + c = generalised forces.
 
@@ -142,7 +143,7 @@ def compute_bias(chain: Chain, w: np.ndarray, rates: np.ndarray, c: np.ndarray) 
         c[j] += c[j + 1]
 
 
-@njit(cache=True)
+@compiled
 def compute_jacobian(w: np.ndarray, lever: np.ndarray, J: np.ndarray) -> None:
     """Compute the Jacobian of a point of the chain: its velocity is J v.
 
@@ -160,7 +161,7 @@ def compute_jacobian(w: np.ndarray, lever: np.ndarray, J: np.ndarray) -> None:
         J[0, 2 + j], J[1, 2 + j] = -y, x
 
 
-@njit(cache=True)
+@compiled
 def compute_point(
     q: np.ndarray, v: np.ndarray, w: np.ndarray, rates: np.ndarray, lever: np.ndarray
 ) -> tuple[float, float, float, float, float, float]:
@@ -186,7 +187,7 @@ def compute_point(
     return x, y, vx, vy, ax, ay
 
 
-@njit(cache=True)
+@compiled
 def compute_momenta(
     chain: Chain, q: np.ndarray, v: np.ndarray, w: np.ndarray, rates: np.ndarray
 ) -> tuple[float, float, float]:
@@ -213,7 +214,7 @@ def compute_momenta(
     return px, py, spin + q[0] * py - q[1] * px
 
 
-@njit(cache=True)
+@compiled
 def compute_kinetic_energy(chain: Chain, v: np.ndarray, w: np.ndarray, rates: np.ndarray) -> float:
     """Return the kinetic energy [J].
 
@@ -231,7 +232,7 @@ def compute_kinetic_energy(chain: Chain, v: np.ndarray, w: np.ndarray, rates: np
     return twice / 2.0
 
 
-@njit(cache=True)
+@compiled
 def factorise(M: np.ndarray) -> None:
     """Replace a symmetric positive definite matrix by its Cholesky factor, in the lower triangle.
 
@@ -246,7 +247,7 @@ def factorise(M: np.ndarray) -> None:
             M[i, j] = math.sqrt(total) if i == j else total / M[j, j]
 
 
-@njit(cache=True)
+@compiled
 def solve_factorised(L: np.ndarray, b: np.ndarray) -> None:
     """Solve L L' x = b in place.
 

@@ -7,13 +7,13 @@ two joints they continue to move, undamped, while the tip rests. A box that was 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from impact_envs.floating_manipulator.contact import Contact
 from planners.floating_manipulator.options import CompensationOptions
 
 
-@njit(cache=True)
+@compiled
 def compensate_drift(
     options: CompensationOptions, drift: np.ndarray, B: np.ndarray, rates: np.ndarray, u: np.ndarray
 ) -> None:
@@ -44,7 +44,7 @@ def compensate_drift(
         u[j] -= B[0, j] * px + B[1, j] * py + damping * rates[j]
 
 
-@njit(cache=True)
+@compiled
 def avoid_box(options: CompensationOptions, contact: Contact, B: np.ndarray, u: np.ndarray) -> None:
     """Keep the tip off the box by the smallest change of torques.
 

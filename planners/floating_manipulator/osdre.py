@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from impact_envs.physics.multibody import (
     Chain,
     compute_bias,
@@ -72,7 +72,7 @@ def make_output_scratch(joints: int) -> OutputScratch:
     return OutputScratch(w, rates, M, J, a, z, drift, B, A, S, Q, K, make_riccati_scratch(4))
 
 
-@njit(cache=True)
+@compiled
 def compute_output_dynamics(chain: Chain, q: np.ndarray, v: np.ndarray, s: OutputScratch) -> None:
     """Compute output z, drift and B of  d^2y/dt^2 = drift + B u.
 
@@ -101,7 +101,7 @@ def compute_output_dynamics(chain: Chain, q: np.ndarray, v: np.ndarray, s: Outpu
             s.B[axis, j] = s.J[axis, 3 + j]
 
 
-@njit(cache=True)
+@compiled
 def fill_coefficients(printed: bool, s: OutputScratch) -> None:
     """Write A such that  A z = (dy/dt, drift).
 
@@ -125,7 +125,7 @@ def fill_coefficients(printed: bool, s: OutputScratch) -> None:
                 s.A[2 + i, j] = s.drift[i] * s.z[j] / square
 
 
-@njit(cache=True)
+@compiled
 def compute_authority(B: np.ndarray) -> float:
     """Return the smaller singular value of B, shape (2, n)."""
     xx = yy = xy = 0.0
@@ -137,7 +137,7 @@ def compute_authority(B: np.ndarray) -> float:
     return math.sqrt(max(square, 0.0))
 
 
-@njit(cache=True)
+@compiled
 def compute_gain(chain: Chain, q: np.ndarray, v: np.ndarray, effort: float, printed: bool, s: OutputScratch) -> bool:
     """Compute the output dynamics and the solution K of their Riccati equation.
 
@@ -163,7 +163,7 @@ def compute_gain(chain: Chain, q: np.ndarray, v: np.ndarray, effort: float, prin
     return solve_riccati(s.A, s.S, s.Q, s.K, s.riccati)
 
 
-@njit(cache=True)
+@compiled
 def compute_feedback(goal: np.ndarray, effort: float, s: OutputScratch, u: np.ndarray) -> None:
     """Compute u = -R^-1 B' K (z - (goal, 0)).
 
@@ -183,7 +183,7 @@ def compute_feedback(goal: np.ndarray, effort: float, s: OutputScratch, u: np.nd
                 u[j] -= s.B[i, j] * s.K[2 + i, k] * error / effort
 
 
-@njit(cache=True)
+@compiled
 def compute_base_rates(chain: Chain, q: np.ndarray, momenta: np.ndarray, v: np.ndarray, s: OutputScratch) -> None:
     """Compute the rates of the base from momenta and joint rates.
 
@@ -209,7 +209,7 @@ def compute_base_rates(chain: Chain, q: np.ndarray, momenta: np.ndarray, v: np.n
     solve_factorised(s.M[:3, :3], v[:3])
 
 
-@njit(cache=True)
+@compiled
 def compute_torques(
     chain: Chain,
     q: np.ndarray,

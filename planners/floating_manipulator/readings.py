@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Mapping
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from impact_envs.floating_manipulator.actuation import compute_forces
 from impact_envs.floating_manipulator.contact import compute_contact
 from impact_envs.floating_manipulator.flow import System, make_scratch, take_step
@@ -105,7 +105,7 @@ class Readings:
         return time
 
 
-@njit(cache=True)
+@compiled
 def judge_parts(
     arm_gate: np.ndarray,
     box_gate: np.ndarray,

@@ -6,7 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from impact_envs.compiled import compiled
 
 ITERATIONS = 60  # at most, of Newton's method for the sign
 # Relative change of the sign at which one last step follows: the method converges quadratically.
@@ -34,7 +35,7 @@ def make_riccati_scratch(m: int) -> RiccatiScratch:
     return RiccatiScratch(*(np.zeros((size, size)) for size in (2 * m, 2 * m, 2 * m, m, m)))
 
 
-@njit(cache=True)
+@compiled
 def invert_matrix(Z: np.ndarray, inverse: np.ndarray) -> float:
     """Compute the inverse by Gauss-Jordan elimination with row pivoting; Z is destroyed.
 
@@ -75,7 +76,7 @@ def invert_matrix(Z: np.ndarray, inverse: np.ndarray) -> float:
     return log_det
 
 
-@njit(cache=True)
+@compiled
 def solve_least_squares(C: np.ndarray, columns: int) -> bool:
     """Minimise |C_1 X + C_2| by Householder reflections; X replaces the upper part of C_2.
 
@@ -112,7 +113,7 @@ def solve_least_squares(C: np.ndarray, columns: int) -> bool:
     return True
 
 
-@njit(cache=True)
+@compiled
 def solve_riccati(A: np.ndarray, S: np.ndarray, Q: np.ndarray, K: np.ndarray, scratch: RiccatiScratch) -> bool:
     """Solve A' K + K A + Q - K S K = 0 for the K that makes A - S K stable.
 
@@ -152,7 +153,7 @@ def solve_riccati(A: np.ndarray, S: np.ndarray, Q: np.ndarray, K: np.ndarray, sc
     return accept_solution(A, S, Q, C[:m, m:], K, scratch.AK, scratch.SK)
 
 
-@njit(cache=True)
+@compiled
 def compute_sign(Z: np.ndarray, inverse: np.ndarray, work: np.ndarray) -> bool:
     """Replace a matrix by its matrix sign.
 
@@ -186,7 +187,7 @@ def compute_sign(Z: np.ndarray, inverse: np.ndarray, work: np.ndarray) -> bool:
     return False
 
 
-@njit(cache=True)
+@compiled
 def accept_solution(
     A: np.ndarray, S: np.ndarray, Q: np.ndarray, X: np.ndarray, K: np.ndarray, AK: np.ndarray, SK: np.ndarray
 ) -> bool:
