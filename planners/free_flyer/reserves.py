@@ -11,7 +11,8 @@ from impact_envs.free_flyer.schema import Robot
 class Reserves:
     """Hold what a plan keeps in hand for its execution.
 
-    Times count in full from about 30 s of horizon on; below, they are shares of the horizon.
+    Lengths and speeds are for robots of 0.2 m; for others they are scaled, see `planners.free_flyer.frame`. Times count
+    in full from about 30 s of horizon on; below, they are shares of the horizon.
 
     Args:
         speed: share of the speed limits that legs between impacts may use.

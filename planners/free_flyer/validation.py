@@ -7,7 +7,7 @@ are, the formula is evaluated on samples.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,6 +38,11 @@ class Tolerances:
     clearance: float = 1e-6
     robustness: float = 1e-2
     share: float = 1e-6
+
+    def scaled(self, length: float) -> Tolerances:
+        """Return the tolerances for bodies so many times as large."""
+        scale = ("position", "velocity", "clearance", "robustness")
+        return replace(self, **{name: getattr(self, name) * length for name in scale})
 
 
 def validate_plan(scenario: FreeFlyerScenario, plan: Plan, tolerances: Tolerances = Tolerances()) -> float:

@@ -67,7 +67,13 @@ def find_relaxation(task: NominalTask, max_impacts: int, rho: float, time_limit:
         if total < 0.9 * least:
             least = total
             best = {part: slack.value(x) for part, slack in model.slacks.items()}
-    found = [Relaxation(part, amount) for part, amount in best.items() if amount > NEGLIGIBLE]
+    # Conjuncts are told as the user wrote them, and lengths in the user's units.
+    said = {text: task.frame.leave_formula(text) for text in task.demands.conjuncts}
+    found = [
+        Relaxation(said.get(part, part), amount * task.frame.length)
+        for part, amount in best.items()
+        if amount > NEGLIGIBLE
+    ]
     return tuple(sorted(found, key=lambda relaxation: -relaxation.amount))
 
 

@@ -13,14 +13,14 @@ it would come to a halt.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
 from planners.errors import Infeasible
-from planners.free_flyer.nominal.event_sequence import Hitter, Word, compute_speed_caps
+from planners.free_flyer.nominal.event_sequence import Hitter, Word, compute_impact_caps, compute_speed_caps
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.central_hit import find_central_impulses
 from planners.free_flyer.specification.direction import AXES, DIRECTIONS
@@ -49,7 +49,7 @@ class EventGrid:
         hits: per impact, (robot, object) to the binary "the robot hits the object", or to 0 or 1 where that is given.
         sides: per impact, one binary per direction of `DIRECTIONS`.
         objects: names of the objects.
-        caps: greatest speed per axis of every object on every piece [m/s].
+        caps: greatest speed per axis of every object on every piece, whoever hits it [m/s].
         speeds: greatest speed per axis of every robot [m/s].
         turns: time every robot loses by starting and stopping, per piece [s].
         moving: names of the objects that move at the start.
@@ -151,7 +151,7 @@ def build_event_grid(
         sides=[[model.binary() for _ in DIRECTIONS] for _ in range(impacts)],
         objects=objects,
         caps={
-            name: [cap for cap in compute_speed_caps(scenario, name, impacts, reserves) for _ in range(pieces)]
+            name: [cap for cap in compute_speed_caps(scenario, name, impacts, reserves, word) for _ in range(pieces)]
             for name in objects
         },
         speeds={name: reserves.cruise(robot) for name, robot in scenario.robots.items()},
@@ -169,6 +169,8 @@ def build_event_grid(
     if len(objects) > 1:
         _add_rest_rows(grid, scenario)
     _add_speed_rows(grid)
+    for name in objects:
+        _add_hitter_rows(grid, name, compute_impact_caps(scenario, name, impacts, reserves))
     return grid
 
 
@@ -364,3 +366,24 @@ def _add_speed_rows(grid: EventGrid) -> None:
                 for step in knots[piece + 1] - knots[piece]:
                     grid.model.require(step - grid.fastest(name, piece) * cruise)
                     grid.model.require(-step - grid.fastest(name, piece) * cruise)
+
+
+def _add_hitter_rows(grid: EventGrid, name: str, each: Mapping[str, Sequence[float]]) -> None:
+    """Bound an object's speed before and after an impact by what the robot that hits can do, if others can do more.
+
+    Args:
+        grid: gets the rows.
+        name: of the object.
+        each: robot to the greatest speed at each impact [m/s], from `compute_impact_caps`.
+    """
+    path, events = grid.path(name), grid.times[:: grid.pieces]
+    # One of several objects may be left as fast as it starts.
+    least = grid.caps[name][0] if len(grid.objects) > 1 else 0.0
+    for (robot, caps), leg in itertools.product(each.items(), range(1, len(events) - 1)):
+        for k in (leg, leg + 1)[: len(caps) - leg + 1]:
+            cap = max(caps[k - 1], least)
+            if cap >= grid.caps[name][leg * grid.pieces]:
+                continue
+            missed = 1.0 - grid.hits[k - 1][robot, name]
+            for step, sign in itertools.product(path[leg + 1] - path[leg], (1.0, -1.0)):
+                grid.model.require(step * sign - (events[leg + 1] - events[leg]) * cap, unless=missed)

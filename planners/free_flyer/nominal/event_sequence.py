@@ -113,15 +113,16 @@ def compute_impacts(scenario: FreeFlyerScenario, sequence: EventSequence) -> tup
     return tuple(impacts)
 
 
-def compute_speed_caps(scenario: FreeFlyerScenario, name: str, impacts: int, reserves: Reserves) -> list[float]:
-    r"""Return the greatest speed per axis of every leg of an object.
+def compute_impact_caps(
+    scenario: FreeFlyerScenario, name: str, impacts: int, reserves: Reserves
+) -> dict[str, list[float]]:
+    r"""Return, per robot, the greatest speed per axis that an object may have before and after each impact by it.
 
     A leg between impacts with |v^-|, |v^+| <= c per axis needs robot velocities v_R^- = (v^+ - m4 v^-) / m3
     and v_R^+ = m1 v_R^- + m2 v^-, which keep |v_R| <= v_max if
     c <= v_max / max((1 + |m4|) / m3, |m1| / m3 + |m2 - m1 m4 / m3|).
-    The object is as fast as it starts before the first impact, and at rest after the last one if it has to be. Where
-    several objects share the impacts, whose is the first or last is open, and the least of these speeds holds for all
-    legs.
+    The only object is as fast as it starts before the first impact, and at rest after the last one if it has to be.
+    Where several objects share the impacts, whose is the first or last is open, and the least of these speeds holds.
 
     Args:
         scenario: masses, restitution and speed limits.
@@ -130,26 +131,47 @@ def compute_speed_caps(scenario: FreeFlyerScenario, name: str, impacts: int, res
         reserves: what the plan keeps in hand.
 
     Returns:
-        K + 1 speeds [m/s]; zero where the object rests. One that moves at the start may go on as fast on any leg, if
-        it is not the only one.
+        Robot to K speeds [m/s].
 
     Source: Verhagen & Tumova, Eq. (5), solved for the robot's velocities.
     """
     body = scenario.objects[name]
     start = max(map(abs, body.start_velocity))
-    free, first, last = [], [], []
-    for robot in scenario.robots.values():
+    caps = {}
+    for hitter, robot in scenario.robots.items():
         m1, m2, m3, m4 = compute_mass_fractions(robot.mass, body.mass, scenario.believed.restitution)
         limit, through = reserves.cruise(robot), abs(m2 - m1 * m4 / m3)
-        free.append(limit / max((1 + abs(m4)) / m3, abs(m1) / m3 + through))
-        room = (limit - abs(m4) / m3 * start) / (1 / m3), (limit - through * start) / max(abs(m1) / m3, 1e-9)
-        first.append(max(0.0, min(room)))
-        last.append(limit / max(abs(m4) / m3, through, 1e-9))
-    at_impact = [min(free)] * impacts
-    if impacts and len(scenario.objects) == 1:
-        at_impact[0] = min(first)
-        if impacts > 1 and body.rest:
-            at_impact[-1] = min(last)
+        at_impact = [limit / max((1 + abs(m4)) / m3, abs(m1) / m3 + through)] * impacts
+        if impacts and len(scenario.objects) == 1:
+            room = (limit - abs(m4) / m3 * start) / (1 / m3), (limit - through * start) / max(abs(m1) / m3, 1e-9)
+            at_impact[0] = max(0.0, min(room))
+            if impacts > 1 and body.rest:
+                at_impact[-1] = limit / max(abs(m4) / m3, through, 1e-9)
+        caps[hitter] = at_impact
+    return caps
+
+
+def compute_speed_caps(
+    scenario: FreeFlyerScenario, name: str, impacts: int, reserves: Reserves, word: Word | None = None
+) -> list[float]:
+    """Return the greatest speed per axis of every leg of an object, whoever of those who may hit it does.
+
+    Args:
+        scenario, name, impacts, reserves: as for `compute_impact_caps`.
+        word: who hits what at each impact; None: anybody anything.
+
+    Returns:
+        K + 1 speeds [m/s]; zero where the object rests. One that moves at the start may go on as fast on any leg, if
+        it is not the only one.
+    """
+    body, each = scenario.objects[name], compute_impact_caps(scenario, name, impacts, reserves)
+    start = max(map(abs, body.start_velocity))
+    at_impact = [max(caps) for caps in zip(*each.values(), strict=True)]
+    own = {k: each[robot][k] for k, (robot, struck) in enumerate(word or ()) if struck == name}
+    for k in range(impacts if own else 0):
+        # Between two impacts of its own the object keeps its speed.
+        before, after = [i for i in own if i <= k][-1:], [i for i in own if i >= k][:1]
+        at_impact[k] = min(own[i] for i in (*before, *after))
     moving = [min(body.speed_limit, *at_impact[k : k + 2]) for k in range(impacts)]
     caps = [start, *moving[:-1], 0.0 if body.rest else moving[-1]] if impacts else [start]
     return [max(cap, start) for cap in caps] if len(scenario.objects) > 1 else caps

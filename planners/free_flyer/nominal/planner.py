@@ -13,6 +13,7 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.budget import Budget, Work
 from planners.errors import Infeasible, PlanningError, SolverFailed
+from planners.free_flyer.frame import Frame, find_frame
 from planners.free_flyer.nominal.clearance_rows import solve_apart
 from planners.free_flyer.nominal.diagnosis import find_relaxation
 from planners.free_flyer.nominal.event_sequence import Hitter, Word, compute_impacts, make_object_curve
@@ -26,7 +27,7 @@ from planners.free_flyer.specification.central_hit import compute_shape_error
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import read_demands
 from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
-from planners.free_flyer.validation import validate_plan
+from planners.free_flyer.validation import Tolerances, validate_plan
 from planners.mixed_integer import Model
 from planners.plan import Plan
 from planners.solvers import check_solver, solve
@@ -94,21 +95,41 @@ def make_free_flyer_plan(
         max_impacts = 3 + 3 * len(scenario.objects)
     _check_arguments(scenario, max_impacts, time_limit)
     check_solver(solver)
+    read_demands(scenario, reserves.wall)  # formulas are refused in the user's words
+    frame = find_frame(scenario)
+    plan = _plan_in_frame(frame.enter(scenario), max_impacts, time_limit, solver, reserves, options, work, frame)
+    if not frame.is_users:
+        plan = frame.leave(plan)
+        validate_plan(scenario, plan, Tolerances().scaled(frame.length))
+    return plan
+
+
+def _plan_in_frame(
+    scenario: FreeFlyerScenario,
+    max_impacts: int,
+    time_limit: float,
+    solver: str,
+    reserves: Reserves,
+    options: PlanOptions,
+    work: Work | None,
+    frame: Frame,
+) -> Plan:
+    """Plan with objects that are hit through their centres or, where no such plan is good enough, as discs."""
     discs = {name: item.model_copy(update={"vertices": None}) for name, item in scenario.objects.items()}
     disc_scenario = scenario.model_copy(update={"objects": discs})
     if not scenario.has_polygons:
-        return _plan_task(scenario, max_impacts, Budget(time_limit), solver, reserves, options, work)
+        return _plan_task(scenario, max_impacts, Budget(time_limit), solver, reserves, options, work, frame)
     if options.central is not None:
         # Half of the time each: what cannot be hit through its centre is found out late.
         time_limit = 0.5 * time_limit
         try:
             brief = replace(options, diagnosis=0.0)
-            plan = _plan_task(scenario, max_impacts, Budget(time_limit), solver, reserves, brief, work)
+            plan = _plan_task(scenario, max_impacts, Budget(time_limit), solver, reserves, brief, work, frame)
             if plan.robustness >= options.central:
                 return replace(plan, shape_error=compute_shape_error(scenario, plan.impacts, plan.horizon))
         except PlanningError:
             pass
-    plan = _plan_task(disc_scenario, max_impacts, Budget(time_limit), solver, reserves, options, work)
+    plan = _plan_task(disc_scenario, max_impacts, Budget(time_limit), solver, reserves, options, work, frame)
     return replace(plan, shape_error=compute_shape_error(scenario, plan.impacts, plan.horizon))
 
 
@@ -120,9 +141,10 @@ def _plan_task(
     reserves: Reserves,
     options: PlanOptions,
     work: Work | None,
+    frame: Frame,
 ) -> Plan:
     """Plan with the reserves, with half of them, then with a quarter."""
-    task = tightest = NominalTask(scenario, read_demands(scenario, reserves.wall), reserves, solver, work)
+    task = tightest = NominalTask(scenario, read_demands(scenario, reserves.wall), reserves, solver, work, frame)
     if options.expected is not None:
         max_impacts = min(max_impacts, options.expected + 1)
     failure: PlanningError | None = None
@@ -211,7 +233,7 @@ def maximise_robustness(
     ceiling = compute_geometric_bound(task.scenario, task.demands, task.solver)
     problem = f"plan of {task.scenario.name}"
     if ceiling < options.least:
-        status = f"fixed starts, goals and areas allow a robustness of {ceiling:.3g} m at most"
+        status = f"fixed starts, goals and areas allow a robustness of {ceiling * task.frame.length:.3g} m at most"
         raise Infeasible(problem, status, "move them, or relax the formula")
     best: RobustnessOptimum | None = None
     for impacts, pieces in itertools.product(options.order_numbers(fewest, max_impacts), options.pieces):

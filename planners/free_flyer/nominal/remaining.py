@@ -14,6 +14,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
 from impact_envs.stl import Always, And, Formula, In, Trace, robustness_signal
 from impact_envs.stl.progression import progress_formula
 from planners.budget import Work
+from planners.free_flyer.frame import find_frame
 from planners.free_flyer.nominal.event_grid import find_halt
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
 from planners.free_flyer.nominal.task import CostOptions, PlanOptions, Wish, WordSearchOptions
@@ -80,7 +81,7 @@ def plan_rest(
         SolverFailed: a solver stopped early, or the plan failed the check.
         OutOfWork: the work allowed did not suffice.
     """
-    kept = replace(reserves, wall=_find_wall(rest, reserves))
+    kept = replace(reserves, wall=_find_wall(find_frame(rest).enter(rest), reserves))
     options = replace(OPTIONS, expected=impacts)
     return make_free_flyer_plan(rest, time_limit=math.inf, reserves=kept, options=options, work=work)
 

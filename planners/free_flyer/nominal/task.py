@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.budget import Work
+from planners.free_flyer.frame import Frame
 from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import Word
 from planners.free_flyer.reserves import Reserves
@@ -27,6 +28,7 @@ class NominalTask:
         reserves: what the plan keeps in hand.
         solver: of mixed-integer models.
         work: that is counted and limited, if any is.
+        frame: whose units the scenario is in.
     """
 
     scenario: FreeFlyerScenario
@@ -34,6 +36,7 @@ class NominalTask:
     reserves: Reserves
     solver: str = "highs"
     work: Work | None = None
+    frame: Frame = field(default_factory=Frame)
 
     def build(
         self,

@@ -11,6 +11,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.bezier import Curve
 from planners.budget import Budget
 from planners.errors import Infeasible, PlanningError
+from planners.free_flyer.frame import Frame, find_frame
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.robust.box_sequence import NARROW, BoxSequence, compute_arrival, compute_contacts
 from planners.free_flyer.robust.conditions import Conditions, check_conditions, make_conditions
@@ -59,7 +60,7 @@ def make_impact_robust_plan(
         time_limit: wall time for all stages [s].
         solver: of mixed-integer models, a key of `planners.solvers.SOLVERS`.
         time_grid: number of segments of the paper's constant grid, with new boxes at every boundary; implies points.
-        conditions: what a deviation refers to; default: `make_conditions`.
+        conditions: what a deviation refers to, for robots of 0.2 m; default: `make_conditions`.
         reserves: speed, time and distance kept in hand for the execution.
         options: how far the plan is improved, and how it is checked.
 
@@ -75,7 +76,11 @@ def make_impact_robust_plan(
     """
     _check_arguments(scenario, max_impacts, time_limit, time_grid, options)
     check_solver(solver)
+    _check_formula(scenario, reserves)
+    frame = Frame()
     if conditions is None:
+        frame = find_frame(scenario)
+        scenario = frame.enter(scenario)
         # Nobody flies the paper's points.
         kept = reserves if time_grid is None else replace(reserves, tracking=0.0)
         conditions = make_conditions(scenario, kept)
@@ -85,7 +90,6 @@ def make_impact_robust_plan(
         conditions, scenario = replace(conditions, gather=False), _shrink(scenario)
     budget = Budget(time_limit)
     check_conditions(scenario, conditions)
-    _check_formula(scenario, reserves)
     demands = read_demands(scenario, reserves.wall)
     task = RobustTask(scenario, demands, conditions, reserves, time_grid, solver, options)
     for last in [False] * options.halvings + [True]:
@@ -97,7 +101,7 @@ def make_impact_robust_plan(
             if last:
                 raise
             task = replace(task, reserves=task.reserves.halved())
-    return _plan_responses(task, optimum, budget)
+    return frame.leave(_plan_responses(task, optimum, budget))
 
 
 def _plan_responses(task: RobustTask, optimum: DeviationOptimum, budget: Budget) -> Plan:
