@@ -25,6 +25,10 @@ class CompiledVecEnv(VecEnv):
         observation, action: spaces of an environment.
     """
 
+    _returns: np.ndarray
+    _lengths: np.ndarray
+    _actions: np.ndarray | None
+
     def __init__(
         self, worlds: ImpactVectorEnv | ResidualVectorEnv, per_world: int, observation: Space[Any], action: Space[Any]
     ) -> None:
@@ -164,7 +168,6 @@ class CompiledVecEnv(VecEnv):
         return ended, infos
 
     def _forget(self) -> None:
-        self._returns: np.ndarray = np.zeros(self.num_envs)
-        self._lengths: np.ndarray = np.zeros(self.num_envs, np.int64)
-        self._actions: np.ndarray | None = None
+        self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, np.int64)
+        self._actions = None
         self._start = time.time()
