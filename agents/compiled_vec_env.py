@@ -13,6 +13,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from agents.residual_vector import ResidualVectorEnv
 from impact_envs.errors import InputError, choices
+from impact_envs.observation import Layout
 from impact_envs.vector import ImpactVectorEnv
 
 
@@ -115,6 +116,18 @@ class CompiledVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None) -> list[bool]:
         """Return whether each environment does the work of a wrapper; true for SB3's Monitor only."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
+
+    def state(self, secrets: bool = False) -> np.ndarray:
+        """Return the truth of each environment's world, as ``ImpactEnv.state``, shape (num_envs, size).
+
+        Args:
+            secrets: add the drawn physics, and what the formula remembers; no expert may see them.
+        """
+        return np.repeat(self.worlds.state(secrets), self.envs_per_world, axis=0)
+
+    def state_layout(self, secrets: bool = False) -> Layout:
+        """Return what stands where in ``state(secrets)``."""
+        return self.worlds.state_layout(secrets)
 
     def _start_worlds(self) -> np.ndarray:
         """Start an episode in every world, with the seeds that were given; return observations."""

@@ -17,7 +17,9 @@ from agents.residual import TRAINING_SEEDS
 from impact_envs.agent_vectors import REAL
 from impact_envs.domain import find_part, list_domains
 from impact_envs.errors import InputError, ResetNeeded, check_count, choices
+from impact_envs.observation import Layout
 from impact_envs.scenario import Scenario, load_scenario
+from impact_envs.state import make_state_layout, read_state
 from impact_envs.vector_reset import make_seeds, read_mask
 from planners import make_expert_batch
 from planners.plan import Plan
@@ -30,6 +32,7 @@ class Decisions(Protocol):
     over: np.ndarray
     failed: np.ndarray
     decided: np.ndarray
+    batch: Any  # the worlds
     steps: np.ndarray  # control periods since the last start or answer
 
     def start(self, worlds: np.ndarray, seeds: Sequence[int] | np.ndarray) -> None:
@@ -192,6 +195,16 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if over.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
             features, infos = self._start_over(over, features, infos)
         return features, rewards, failed, over & ~failed, infos
+
+    def state(self, secrets: bool = False) -> np.ndarray:
+        """Return the truth of every world at its decision, as ``ImpactVectorEnv.state``, shape (num_envs, size)."""
+        if not self._started:
+            raise ResetNeeded("state before reset: call reset first")
+        return read_state(self.decisions.batch, secrets)
+
+    def state_layout(self, secrets: bool = False) -> Layout:
+        """Return what stands where in ``state(secrets)``."""
+        return make_state_layout(self.decisions.batch.task, secrets)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Let the threads and the planners' processes go."""

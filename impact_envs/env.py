@@ -19,6 +19,7 @@ from impact_envs.physics.impact import Impact, LastingContact
 from impact_envs.reward import compute_reward, compute_team_reward
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.shape import Shape
+from impact_envs.state import add_secrets, join_states, make_state_layout
 from impact_envs.stl import Monitor
 from impact_envs.stl.verdict import compute_outcome, judge
 from impact_envs.stream import check_seed
@@ -50,7 +51,8 @@ class Task(Protocol):
     joint_observation_space: Box
     layouts: Mapping[str, Layout]
     joint_layout: Layout
-    state_space: Box
+    state_layout: Layout
+    secrets_layout: Layout
 
     def reset(self, physics: Any, states: np.ndarray, rng: np.random.Generator) -> None:
         """Start an episode."""
@@ -72,6 +74,9 @@ class Task(Protocol):
 
     def observe_jointly(self, time: float, bounds: tuple[float, float]) -> np.ndarray:
         """Return all agents' observation as one vector."""
+
+    def list_secrets(self, physics: Any) -> np.ndarray:
+        """Return a world's drawn physics as one vector, which no expert sees."""
 
     def signals(self, states: np.ndarray) -> dict[str, float]:
         """Return the signals the formula speaks of."""
@@ -134,7 +139,7 @@ class ImpactEnv(ParallelEnv):
         self.max_cycles = self._last if max_cycles is None else max_cycles
         self.possible_agents = list(self.scenario.agents)
         self.agents: list[str] = []
-        self.state_space = task.state_space
+        self.state_space = self.state_layout().make_space()
         self.monitor = Monitor(
             self.scenario.specification,
             self.scenario.control_period,
@@ -188,7 +193,7 @@ class ImpactEnv(ParallelEnv):
         """
         if seed is not None or self._rng is None:
             self._rng, _ = seeding.np_random(None if seed is None else check_seed(seed))
-        physics = self.scenario.draw(self._rng)
+        physics = self._physics = self.scenario.draw(self._rng)
         self.model.reset(physics)
         self.steps, self.impacts, self.lasting_contacts = 0, [], []
         self.impulse, self.failure = 0.0, None
@@ -249,15 +254,29 @@ class ImpactEnv(ParallelEnv):
             self.render()
         return observations, rewards, dict.fromkeys(agents, failed), dict.fromkeys(agents, over and not failed), infos
 
-    def state(self) -> np.ndarray:
-        """Return the true state of all bodies, row after row, then time / horizon (for centralised critics).
+    def state(self, secrets: bool = False) -> np.ndarray:
+        """Return the truth of the present step, for centralised critics; ``state_layout`` says what stands where.
+
+        Args:
+            secrets: add the drawn physics, and what the formula remembers; no expert may see them.
+
+        Returns:
+            The true state of all bodies, row after row, time / horizon, and the secrets; shape (size,).
 
         Raises:
             ResetNeeded: before the first reset.
         """
         self._check_started("state")
         states = self.model.state() if self.failure is None else self._states
-        return np.append(states.ravel(), self.time / self.scenario.horizon)
+        state = join_states(states[None], np.array([self.time / self.scenario.horizon]))
+        if secrets:
+            physics = self.task.list_secrets(self._physics)
+            state = add_secrets(state, physics[None], self.monitor.parts[None], self._limit)
+        return state[0]
+
+    def state_layout(self, secrets: bool = False) -> Layout:
+        """Return what stands where in ``state(secrets)``; ``print(env.state_layout().describe())``."""
+        return make_state_layout(self.task, secrets)
 
     def render(self) -> np.ndarray | None:
         """Draw the present step.

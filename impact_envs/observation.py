@@ -12,6 +12,9 @@ from gymnasium.spaces import Box
 
 from impact_envs.errors import InputError, choices
 
+# Elements of a body's motion.
+MOTION = ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "heading [rad]", "omega [rad/s]")
+
 
 class Layout:
     """The fields of an observation vector, in order: ``vector[layout["pop"]]`` is what is observed of ``pop``.

@@ -15,7 +15,9 @@ from gymnasium.vector.utils import batch_space
 from impact_envs.agent_vectors import REAL
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError, ResetNeeded, check_count, choices
+from impact_envs.observation import Layout
 from impact_envs.scenario import Scenario, load_scenario
+from impact_envs.state import make_state_layout, read_state
 from impact_envs.stl.verdict import judge
 from impact_envs.vector_reset import make_seeds, read_mask
 
@@ -209,6 +211,26 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         output.rewards[:] = rewards
         self._over = self._falses()
         return self._infos() | {name: infos[name] for name in ends} | final
+
+    def state(self, secrets: bool = False) -> Any:
+        """Return the truth of every world, for centralised critics; ``state_layout`` says what stands where.
+
+        Args:
+            secrets: add the drawn physics, and what the formula remembers; no expert may see them.
+
+        Returns:
+            World k's as ``ImpactEnv.state``, shape (num_envs, size), float64.
+
+        Raises:
+            ResetNeeded: before the first reset.
+        """
+        if not self._started:
+            raise ResetNeeded("state before reset: call reset first")
+        return self._give(self._take(read_state(self.batch, secrets)))
+
+    def state_layout(self, secrets: bool = False) -> Layout:
+        """Return what stands where in ``state(secrets)``."""
+        return make_state_layout(self.batch.task, secrets)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Draw every world as it is now, without the paths that led there.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from impact_envs.dual_arm.schema import DualArmScenario
-from impact_envs.observation import Layout
+from impact_envs.dual_arm.schema import GRASP_SIGNALS, DualArmScenario
+from impact_envs.observation import MOTION, Layout
 
 # What is measured of one arm; with "own", "other" or the arm's name before them these are fields of an observation.
 ARM = Layout(
@@ -14,6 +14,12 @@ ARM = Layout(
         "pad",
         ("x [m]", "y [m]", "cos(heading)", "sin(heading)", "vx [m/s]", "vy [m/s]", "omega [rad/s]"),
     ),
+)
+# A row of the true state; of the box what the arms alone have is zero.
+TRUTH = (
+    *MOTION,
+    *(element for name in ("angles", "rates", "forces") for element in ARM.fields[name]),
+    *(f"{name} of the grasp [N, N m, m, s]" for name in GRASP_SIGNALS),
 )
 TIME = ("time", ("time / horizon",))
 

@@ -10,10 +10,11 @@ from gymnasium.spaces import Box
 
 from impact_envs.agent_vectors import read_vectors
 from impact_envs.dual_arm.arm import compute_pose
-from impact_envs.dual_arm.model import FORCES, JOINTS, KEPT, RATES, WIDTH
-from impact_envs.dual_arm.observation import ARM, make_joint_layout, make_layout
+from impact_envs.dual_arm.model import FORCES, JOINTS, KEPT, RATES
+from impact_envs.dual_arm.observation import ARM, TRUTH, make_joint_layout, make_layout
 from impact_envs.dual_arm.schema import DualArmScenario, Physics
-from impact_envs.observation import make_unbounded_space
+from impact_envs.dual_arm.secrets import list_secrets, make_secrets_layout
+from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.reward import compute_effort
 from impact_envs.shape import Shape
@@ -49,7 +50,8 @@ class DualArmTask:
         self.action_spaces = {name: Box(-1.0, 1.0, (3,), np.float32) for name in scenario.agents}
         self.observation_spaces = {name: layout.make_space() for name, layout in self.layouts.items()}
         self.joint_observation_space = self.joint_layout.make_space()
-        self.state_space = make_unbounded_space(WIDTH * len(scenario.bodies) + 1)
+        self.state_layout = Layout(*((body, TRUTH) for body in scenario.bodies))
+        self.secrets_layout = make_secrets_layout(scenario)
 
     def reset(self, physics: Physics, states: np.ndarray, rng: np.random.Generator) -> None:
         """Start an episode.
@@ -123,6 +125,10 @@ class DualArmTask:
         upper |= dict.fromkeys(("lag", "interim", "limit_time"), self.scenario.horizon)
         upper |= dict.fromkeys(("force_min", "force_max", "slip"), math.inf)
         return {f"{body}.{name}": (0.0, limit) for body in self.scenario.bodies for name, limit in upper.items()}
+
+    def list_secrets(self, physics: Physics) -> np.ndarray:
+        """Return a world's drawn physics as ``secrets_layout`` says, shape (size,)."""
+        return list_secrets(physics)
 
     def shapes(self) -> tuple[Shape, ...]:
         """Return regions, the table at its believed pose, the box and the pads, in drawing order."""

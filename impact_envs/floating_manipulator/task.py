@@ -13,7 +13,8 @@ from impact_envs.agent_vectors import read_vectors
 from impact_envs.floating_manipulator.actuation import compute_forces
 from impact_envs.floating_manipulator.observation import find_places, make_layout, select_felt, write_observation
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
-from impact_envs.observation import make_unbounded_space
+from impact_envs.floating_manipulator.secrets import list_secrets, make_secrets_layout
+from impact_envs.observation import MOTION, Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.physics.multibody import compute_directions, compute_momenta
 from impact_envs.reward import compute_effort
@@ -63,7 +64,8 @@ class FloatingManipulatorTask:
         self._places = find_places(self.joint_layout)
         self.joint_observation_space = self.joint_layout.make_space()
         self.observation_spaces = dict.fromkeys(scenario.agents, self.joint_observation_space)
-        self.state_space = make_unbounded_space(6 * len(scenario.bodies) + 1)
+        self.state_layout = Layout(*((body, MOTION) for body in scenario.bodies))
+        self.secrets_layout = make_secrets_layout(scenario)
 
     def reset(self, physics: Physics, states: np.ndarray, rng: np.random.Generator) -> None:
         """Start an episode.
@@ -162,6 +164,10 @@ class FloatingManipulatorTask:
             "tip.since_impact": times,
             "tip.impulse": (0.0, math.inf),
         }
+
+    def list_secrets(self, physics: Physics) -> np.ndarray:
+        """Return a world's drawn physics as ``secrets_layout`` says, shape (size,)."""
+        return list_secrets(physics)
 
     def shapes(self) -> tuple[Shape, ...]:
         """Return regions, goal, box, base and arm as shapes, in drawing order; links have no label and no trail."""

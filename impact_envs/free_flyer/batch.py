@@ -15,6 +15,7 @@ from impact_envs.errors import InputError
 from impact_envs.failure import NotFinite, TooManyEvents, check_finite
 from impact_envs.free_flyer.pair import EVENTS
 from impact_envs.free_flyer.schema import SENSOR_COLUMNS, FreeFlyerScenario
+from impact_envs.free_flyer.secrets import list_secrets
 from impact_envs.free_flyer.sensing import compute_memory_size, count_uniforms, make_sensing
 from impact_envs.free_flyer.step import (
     LEAVE,
@@ -39,7 +40,8 @@ from impact_envs.free_flyer.worlds import (
     make_worlds,
     write_physics,
 )
-from impact_envs.stl.compiler import compile_formula
+from impact_envs.stl.compiler import compile_formula, find_parts
+from impact_envs.stl.margin import TIE
 from impact_envs.stream import draw_doubles, seed_streams
 
 
@@ -48,6 +50,8 @@ class BatchViews:
 
     _worlds: Any
     _memory: Any
+    _formula: Any
+    task: FreeFlyerTask
     _last: int
     count: int
     scenario: FreeFlyerScenario
@@ -81,6 +85,28 @@ class BatchViews:
     def states(self) -> Any:
         """Return the true states, shape (N, bodies, 6); as ``DiscModel.state``."""
         return self._memory.states
+
+    @property
+    def parts(self) -> np.ndarray:
+        """Return the intervals of the formula's temporal operators, as ``Monitor.parts``, shape (N, parts, 2) [m]."""
+        found = _hand_over(self._memory.monitor)[:, find_parts(self._formula)]
+        return np.where(np.abs(found) <= TIE, 0.0, found)
+
+    @property
+    def secrets(self) -> np.ndarray:
+        """Return the drawn physics of every world, as the task lists them, shape (N, secrets)."""
+        # What no world of the scenario needs is not kept: it is what it is where nothing is disturbed.
+        usual = self.scenario.draw_many(np.zeros((1, self.scenario.draw_count)))
+        kept = self._worlds.contact, self._worlds.body, self._worlds.thruster, self._memory.sensors
+        parts = []
+        defaults = usual.contact, usual.body, usual.thruster, usual.sensor
+        for numbers, default in zip(kept, defaults, strict=True):
+            part = np.repeat(default, self.count, axis=0)
+            if numbers.shape[1] > 0:
+                width = min(numbers.shape[-1], part.shape[-1])
+                part[..., :width] = _hand_over(numbers)[..., :width]
+            parts.append(part)
+        return list_secrets(*parts)
 
     @property
     def failed(self) -> Any:
@@ -135,7 +161,7 @@ class Batch(BatchViews):
     ) -> None:
         announce(run_tuples)
         self.scenario, self.count, self.dtype = scenario, count, dtype
-        task = FreeFlyerTask(scenario)
+        self.task = task = FreeFlyerTask(scenario)
         arena, _ = make_arena(scenario)
         self._formula = compile_formula(
             scenario.specification,
@@ -288,6 +314,11 @@ class Batch(BatchViews):
             outcome=np.zeros(count, dtype),
         )
         return make_worlds(self._arena, count, true.moves_bodies, true.changes_thrusters, dtype), view_signals(memory)
+
+
+def _hand_over(numbers: Any) -> np.ndarray:
+    """Return an array, or a tensor's numbers as one."""
+    return numbers if isinstance(numbers, np.ndarray) else numbers.cpu().numpy()
 
 
 def view_signals(memory: Memory) -> Memory:

@@ -61,7 +61,7 @@ class GpuBatch(BatchViews):
         self.scenario, self.count = scenario, count
         self.device = torch.device("cpu" if SIMULATED else "cuda:0")
         self._host = host = Batch(scenario, 1, max_cycles, dtype)
-        self._last = host._last
+        self._last, self._formula, self.task = host._last, host._formula, host.task
         self.robots, self.bodies = host.robots, host.bodies
         self.joint_size, self.agent_size = host.joint_size, host.agent_size
         pairs, columns = len(host._arena.pairs), (host._scratch.motion.shape[2], host._scratch.contacts.shape[2])

@@ -11,8 +11,9 @@ from gymnasium.spaces import Box
 from impact_envs.free_flyer.command import read_commands
 from impact_envs.free_flyer.observation import Sensors, make_joint_layout, make_layout
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
+from impact_envs.free_flyer.secrets import list_secrets_of_one, make_secrets_layout
 from impact_envs.free_flyer.sensing import FELT_SPEED, write_observations
-from impact_envs.observation import make_unbounded_space
+from impact_envs.observation import MOTION, Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.reward import compute_effort
 from impact_envs.shape import Shape
@@ -46,7 +47,8 @@ class FreeFlyerTask:
         self.action_spaces = {name: Box(-1.0, 1.0, (3,), np.float32) for name in scenario.agents}
         self.observation_spaces = {name: layout.make_space() for name, layout in self.layouts.items()}
         self.joint_observation_space = self.joint_layout.make_space()
-        self.state_space = make_unbounded_space(6 * len(scenario.bodies) + 1)
+        self.state_layout = Layout(*((body, MOTION) for body in scenario.bodies))
+        self.secrets_layout = make_secrets_layout(scenario)
 
     def reset(self, physics: Physics, states: np.ndarray, rng: np.random.Generator) -> None:
         """Start an episode.
@@ -118,6 +120,10 @@ class FreeFlyerTask:
         (x0, y0), (x1, y1) = self.scenario.world.lower, self.scenario.world.upper
         limits = {"x": (x0, x1), "y": (y0, y1)}
         return {f"{body}.{axis}": limit for body in self.scenario.bodies for axis, limit in limits.items()}
+
+    def list_secrets(self, physics: Physics) -> np.ndarray:
+        """Return a world's drawn physics as ``secrets_layout`` says, shape (size,)."""
+        return list_secrets_of_one(physics)
 
     def shapes(self) -> tuple[Shape, ...]:
         """Return regions, obstacles and bodies as shapes, in drawing order."""

@@ -72,6 +72,41 @@ def compile_formula(
     return builder.finish()
 
 
+def find_parts(compiled: CompiledFormula) -> np.ndarray:
+    """Return where a world's memory holds the intervals of the root's temporal operators, shape (parts, 2)."""
+    count = int(np.sum(~np.isin(compiled.root[:, tables.KIND], (tables.PUSH, tables.POP))))
+    return np.arange(2 * count).reshape(count, 2)
+
+
+def describe_parts(
+    formula: Formula, period: float, areas: Mapping[str, AreaLike], bodies: Sequence[str]
+) -> tuple[str, ...]:
+    """Return what each of the root's temporal operators is, in the order of `find_parts`.
+
+    Args:
+        formula, period, areas, bodies: see `compile_formula`.
+    """
+    term = split_operators(make_term(formula.expand(tuple(bodies)), period, areas))
+    leaves = [part[-1] for part in _linearise(term, lambda part: is_state(part) or isinstance(part, Operator))]
+    return tuple(_describe(leaf, period) for leaf in leaves if leaf is not None)
+
+
+def _describe(term: Term, period: float) -> str:
+    signals = ", ".join(dict.fromkeys(_list_signals(term)))
+    if not isinstance(term, Operator):
+        return f"at time 0, of {signals}"
+    name = ("always", "eventually") if len(term.children) == 1 else ("not until", "until")
+    return f"{name[_pick(term.pick)]}[{term.first * period:g},{term.last * period:g}] of {signals}"
+
+
+def _list_signals(term: Term) -> Iterator[str]:
+    if isinstance(term, Combination | Operator):
+        for child in term.children:
+            yield from _list_signals(child)
+    else:
+        yield from term.encode()[1]
+
+
 @dataclass
 class _Node:
     """A row of ``CompiledFormula.nodes`` in the making.
@@ -114,7 +149,9 @@ class _Builder:
 
     def add_root(self, term: Term) -> None:
         """Append the rows of a whole formula."""
-        for kind, how, depth, leaf in _linearise(term, lambda part: is_state(part) or isinstance(part, Operator)):
+        rows = list(_linearise(term, lambda part: is_state(part) or isinstance(part, Operator)))
+        self._allocate(2 * sum(leaf is not None for *_, leaf in rows))  # their intervals, see find_parts
+        for kind, how, depth, leaf in rows:
             if leaf is None:
                 self.root.append([kind, how, 0, 0, 0, 0, 0, self._scratch("root", depth, 2)])
             else:  # what is no operator is about the first sample

@@ -121,6 +121,7 @@ def update_monitor(formula: CompiledFormula, memory: Any, k: int, count: int, si
         update_nodes(formula, memory, k, count, signals)
     root = formula.root
     low = high = 0.0
+    part = 0  # its interval stands there
     for i in range(root.shape[0]):
         kind, slot = root[i, KIND], root[i, SLOT]
         if kind == PUSH:
@@ -144,6 +145,9 @@ def update_monitor(formula: CompiledFormula, memory: Any, k: int, count: int, si
             else:
                 a, b = low, high
                 low, high = memory[k, slot], memory[k, slot + 1]
+            if kind != POP:
+                memory[k, part], memory[k, part + 1] = a, b
+                part += 2
             low, high = combine(root[i, HOW], low, a), combine(root[i, HOW], high, b)
     return low, high
 

@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from impact_envs.point_mass.schema import Physics, PointMassScenario
 
+from impact_envs.observation import MOTION, Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.shape import Shape
 from impact_envs.stl import SIGNALS
@@ -21,7 +22,7 @@ class PointMassTask:
         self.action_spaces = {"puck": Box(-1.0, 1.0, (2,), np.float32)}
         self.joint_observation_space = Box(-np.inf, np.inf, (5,), np.float64)
         self.observation_spaces = {"puck": self.joint_observation_space}
-        self.state_space = Box(-np.inf, np.inf, (7,), np.float64)
+        self.state_layout, self.secrets_layout = Layout(("puck", MOTION)), Layout(("true wall", ("restitution",)))
 
     def reset(self, physics: Physics, states: np.ndarray, rng: np.random.Generator) -> None:
         self.sense(states, [])
@@ -49,6 +50,9 @@ class PointMassTask:
 
     def signal_bounds(self) -> dict[str, tuple[float, float]]:
         return {}
+
+    def list_secrets(self, physics: Physics) -> np.ndarray:
+        return np.array(physics)
 
     def shapes(self) -> tuple[Shape, ...]:
         areas = [Shape(None, "region", vertices=a.corners, label=n) for n, a in self.scenario.regions.items()]
