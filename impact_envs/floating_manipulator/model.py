@@ -13,7 +13,7 @@ import numpy as np
 
 from impact_envs.errors import InputError, choices
 from impact_envs.failure import TooManyEvents
-from impact_envs.floating_manipulator.actuation import compute_forces
+from impact_envs.floating_manipulator.actuation import compute_forces, join_controls, make_actuators
 from impact_envs.floating_manipulator.events import FLOWN, HIT, advance_to_event
 from impact_envs.floating_manipulator.flow import (
     compute_opening,
@@ -99,7 +99,7 @@ class FloatingManipulatorModel:
         """
         scenario, n = self.scenario, self._n
         self.physics = physics
-        self._system = make_system(scenario, physics)
+        self._system, self._actuators = make_system(scenario, physics), make_actuators(scenario, physics)
         self._q, self._v = np.concatenate([scenario.start, physics.box_start]), np.zeros(n + 6)
         self._force = np.zeros(n + 6)
         self._touching = False
@@ -204,7 +204,7 @@ class FloatingManipulatorModel:
         """Compute the forces held over the next control period from the commands."""
         sizes = {"arm": self._n, "base": 3}
         checked = {agent: _check_control(agent, control, sizes[agent]) for agent, control in controls.items()}
-        self._force[:-3] = compute_forces(self.scenario, self.physics, self._v[:-3], checked)
+        compute_forces(self._actuators, self._v, join_controls(checked, self._n), self._force)
         if self.scenario.wheel:
             self.wheel_momentum -= self._force[2] * self.scenario.control_period
 

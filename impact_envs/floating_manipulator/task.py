@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from impact_envs.agent_vectors import read_vectors
-from impact_envs.floating_manipulator.actuation import compute_forces
+from impact_envs.floating_manipulator.actuation import compute_forces, join_controls, make_actuators
 from impact_envs.floating_manipulator.observation import find_places, make_layout, select_felt, write_observation
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
 from impact_envs.observation import make_unbounded_space
@@ -73,7 +73,7 @@ class FloatingManipulatorTask:
             states: true start states, shape (bodies, 6).
             rng: the episode's generator.
         """
-        self._physics = physics
+        self._physics, self._actuators = physics, make_actuators(self.scenario, physics)
         self._torques, self._impulse, self._since, self._samples = np.zeros(self._n), 0.0, self.scenario.horizon, 0
         self._hit: float | None = None
         self._rng = rng
@@ -88,7 +88,9 @@ class FloatingManipulatorTask:
         """
         read = read_vectors(actions, self._sizes, "action")
         controls = {name: np.minimum(np.maximum(read[name], -1.0), 1.0) * self._limits[name] for name in actions}
-        self._torques = compute_forces(self.scenario, self._physics, self._v, controls)[3:]
+        force = np.empty(self._n + 3)
+        compute_forces(self._actuators, self._v, join_controls(controls, self._n), force)
+        self._torques = force[3:]
         return controls
 
     def effort(self, action: np.ndarray) -> float:
