@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -42,7 +43,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
     marked by ``_final_obs``, and ``final_info``, the infos of the end of all worlds.
 
     Args:
-        scenario: a shipped name, the path of a TOML file, or a Scenario; of discs.
+        scenario: a shipped name, the path of a TOML file, or a Scenario; of discs or a floating manipulator.
         num_envs: how many worlds.
         autoreset_mode: as Gymnasium defines them: ``NEXT_STEP``, ``SAME_STEP`` or ``DISABLED``.
         max_cycles: truncate earlier than the horizon [control periods].
@@ -107,7 +108,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         self.batch: Any = make_batch(loaded, num_envs, max_cycles, DTYPES[dtype], threads, device or "cpu")
         size = self.batch.joint_size
         self.single_observation_space = Box(-np.inf, np.inf, (size,), DTYPES[dtype])
-        self.single_action_space = Box(-1.0, 1.0, (3 * self.batch.robots,), np.float32)
+        self.single_action_space = Box(-1.0, 1.0, (math.prod(self.batch.action_shape),), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._output = self.batch.make_output(per_robot)
@@ -159,7 +160,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         """Hold the actions for one control period.
 
         Args:
-            actions: in [-1, 1], shape (num_envs, 3 robots), robots in scenario order.
+            actions: in [-1, 1], the agents' one after another in scenario order, shape (num_envs, size).
 
         Returns:
             Observations, rewards (summed over robots), terminations (of failed simulations), truncations, infos.
@@ -180,7 +181,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             )
         restart = self._over if self._ended and self.autoreset_mode == AutoresetMode.NEXT_STEP else None
         output = self._fresh(copy=False)
-        self.batch.step(actions.reshape(self.num_envs, -1, 3), output, restart)
+        self.batch.step(actions.reshape(self.num_envs, *self.batch.action_shape), output, restart)
         self._output = output
         over = self.batch.over
         self._ended = bool(over.any())
@@ -336,7 +337,7 @@ def vector_env(scenario: str | Path | Scenario, num_envs: int = 1, **options: An
     """Make many worlds of a scenario, stepped together.
 
     Args:
-        scenario: a shipped name, the path of a TOML file, or a Scenario; of discs.
+        scenario: a shipped name, the path of a TOML file, or a Scenario; of discs or a floating manipulator.
         num_envs: how many.
         options: see ImpactVectorEnv.
 

@@ -26,7 +26,7 @@ from impact_envs.free_flyer.step import run_tuples
 from impact_envs.rollout import ZeroPolicy
 from planners import make_expert
 from planners.dual_arm.torque_qp import assemble_ante
-from planners.floating_manipulator.osdre import compute_torques
+from planners.floating_manipulator.world_loop import run_experts as run_manipulators
 from planners.free_flyer.closed_loop.world_loop import run_experts
 
 ROOT = Path(__file__).parents[1]
@@ -63,7 +63,7 @@ JOBS: dict[str, tuple[Callable[[], None], tuple[Callable[..., object], ...]]] = 
     "free-flyers' expert": (compile_free_flyers_expert, (run_experts, run_until_due)),
     "vector environment": (compile_vector_environment, (run_tuples,)),
     "engine and arms": (compile_engine_and_arms, (step_alone, advance_arms, assemble_ante)),
-    "manipulators": (compile_manipulators, (advance_manipulator, compute_torques)),
+    "manipulators": (compile_manipulators, (advance_manipulator, run_manipulators)),
 }
 
 

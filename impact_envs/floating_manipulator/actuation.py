@@ -4,63 +4,94 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from impact_envs.compiled import compiled
-from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Motor, Physics
+from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
 
 
-def compute_forces(
-    scenario: FloatingManipulatorScenario, physics: Physics, v: np.ndarray, controls: Mapping[str, np.ndarray]
-) -> np.ndarray:
+class Actuators(NamedTuple):
+    """The actuators of one world.
+
+    Attributes:
+        stall_torque, no_load_speed: of the joints' motors, shape (n,) [N m], [rad/s].
+        thruster_force: of each thruster when on, 0 without thrusters [N].
+        dead_zone: smaller commands leave the thrusters off [N].
+        wheel_torque, wheel_speed: stall torque, 0 without a wheel, and no-load speed of the wheel [N m], [rad/s].
+    """
+
+    stall_torque: np.ndarray
+    no_load_speed: np.ndarray
+    thruster_force: float
+    dead_zone: float
+    wheel_torque: float
+    wheel_speed: float
+
+
+def make_actuators(scenario: FloatingManipulatorScenario, physics: Physics) -> Actuators:
+    """Collect the actuators of a world.
+
+    Args:
+        scenario: its thrusters and wheel.
+        physics: limits of the drawn world.
+    """
+    thrusters, wheel = scenario.thrusters, scenario.wheel
+    return Actuators(
+        stall_torque=physics.stall_torque,
+        no_load_speed=physics.no_load_speed,
+        thruster_force=float(physics.thruster_force),
+        dead_zone=float(thrusters.dead_zone) if thrusters else 0.0,
+        wheel_torque=float(wheel.stall_torque) if wheel else 0.0,
+        wheel_speed=float(wheel.no_load_speed) if wheel else 1.0,
+    )
+
+
+def join_controls(controls: Mapping[str, np.ndarray], joints: int) -> np.ndarray:
+    """Return the controls of all agents as one vector: Fx, Fy and torque on the base, then joint torques.
+
+    Args:
+        controls: ``arm``: joint torques, shape (n,) [N m]; where the base is actuated, ``base``: forces along the
+            world's axes and torque, shape (3,) [N], [N m].
+        joints: n.
+
+    Returns:
+        Shape (n + 3,) [N], [N m].
+    """
+    command = np.zeros(joints + 3)
+    command[3:] = controls["arm"]
+    if "base" in controls:
+        command[:3] = controls["base"]
+    return command
+
+
+@compiled
+def compute_forces(actuators: Actuators, v: np.ndarray, command: np.ndarray, force: np.ndarray) -> None:
     """Compute the forces and torques held over a control period.
 
     Joints: |u + stall_torque / no_load_speed * speed| <= stall_torque, likewise the wheel. Thrusters are on or off.
 
     Args:
-        scenario: its thrusters and wheel.
-        physics: limits of the true world.
-        v: rates at the start of the period: of base x, y, psi and the joints, shape (n + 3,) [m/s], [rad/s].
-        controls: ``arm``: joint torques, shape (n,) [N m]; where the base is actuated, ``base``: forces along the
-            world's axes and torque, shape (3,) [N], [N m].
-
-    Returns:
-        Fx, Fy and torque on the base, then joint torques, shape (n + 3,) [N], [N m].
+        actuators: of the world.
+        v: rates at the start of the period: of base x, y, psi and the joints, at least n + 3 [m/s], [rad/s].
+        command: Fx, Fy and torque on the base, then joint torques, shape (n + 3,) [N], [N m].
+        force: takes what is delivered of each, at least n + 3 [N], [N m].
 
     Source: Nekoo, Sharf & Ollero, Eq. 34 and Sec. 4.4.
     """
-    force = np.zeros(len(v))
-    limit_torques(v, physics.stall_torque, physics.no_load_speed, controls["arm"], force)
-    if "base" in controls:
-        fx, fy, torque = controls["base"].tolist()
-        dead = scenario.thrusters.dead_zone if scenario.thrusters else 0.0
-        for axis, command in enumerate((fx, fy)):
-            force[axis] = math.copysign(physics.thruster_force, command) if abs(command) > dead else 0.0
-        force[2] = _limit_torque(scenario.wheel, torque, float(v[2]))
-    return force
+    for axis in range(2):
+        on = abs(command[axis]) > actuators.dead_zone
+        force[axis] = math.copysign(actuators.thruster_force, command[axis]) if on else 0.0
+    force[2] = 0.0
+    if actuators.wheel_torque > 0.0:
+        force[2] = limit_torque(actuators.wheel_torque, actuators.wheel_speed, command[2], v[2])
+    for j in range(3, len(command)):
+        force[j] = limit_torque(actuators.stall_torque[j - 3], actuators.no_load_speed[j - 3], command[j], v[j])
 
 
 @compiled
-def limit_torques(
-    v: np.ndarray, stall_torque: np.ndarray, no_load_speed: np.ndarray, command: np.ndarray, force: np.ndarray
-) -> None:
-    """Compute the torques that the joints' motors deliver.
-
-    Args:
-        v: rates of base and joints, shape (n + 3,).
-        stall_torque, no_load_speed: of the motors, shape (n,) [N m], [rad/s].
-        command: torques, shape (n,) [N m].
-        force: its last n elements are written, shape (n + 3,).
-    """
-    for j in range(len(command)):
-        drop = stall_torque[j] * v[3 + j] / no_load_speed[j]
-        force[3 + j] = min(max(command[j], -stall_torque[j] - drop), stall_torque[j] - drop)
-
-
-def _limit_torque(motor: Motor | None, torque: float, speed: float) -> float:
-    """Return the torque that a motor delivers at a speed; 0 without a motor."""
-    if motor is None:
-        return 0.0
-    drop = motor.stall_torque * speed / motor.no_load_speed
-    return min(max(torque, -motor.stall_torque - drop), motor.stall_torque - drop)
+def limit_torque(stall_torque: float, no_load_speed: float, torque: float, speed: float) -> float:
+    """Return the torque that a motor delivers at a speed [N m]."""
+    drop = stall_torque * speed / no_load_speed
+    return min(max(torque, -stall_torque - drop), stall_torque - drop)

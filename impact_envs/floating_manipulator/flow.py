@@ -52,6 +52,7 @@ class Scratch(NamedTuple):
         row, response: the gap's rate is row . v; the change of v per impulse along it, shape (m,).
         a: accelerations of the four stages, shape (4, m).
         q_stage, v_stage, q_next, v_next: shape (m,).
+        v_minus: rates just before an impact, shape (m,).
     """
 
     w: np.ndarray
@@ -65,6 +66,7 @@ class Scratch(NamedTuple):
     v_stage: np.ndarray
     q_next: np.ndarray
     v_next: np.ndarray
+    v_minus: np.ndarray
 
 
 def make_system(scenario: FloatingManipulatorScenario, physics: Physics) -> System:
@@ -95,7 +97,7 @@ def make_scratch(joints: int) -> Scratch:
         joints: n.
     """
     m = joints + 6
-    shapes = [(joints + 1, 2), (joints + 1,), (m - 3, m - 3), (2, m - 3), (m,), (m,), (4, m)] + 4 * [(m,)]
+    shapes = [(joints + 1, 2), (joints + 1,), (m - 3, m - 3), (2, m - 3), (m,), (m,), (4, m)] + 5 * [(m,)]
     return Scratch(*(np.zeros(shape) for shape in shapes))
 
 

@@ -1,6 +1,6 @@
 """A floating manipulator and a free box: flight by Runge-Kutta 4, exact impacts of the tip, pushing without overlap.
 
-Flight is compiled (``flow``, ``events``); impacts follow ``physics.impact``. Motors, wheel and thrusters compute forces
+Flight and impacts are compiled (``flow``, ``events``, ``collision``). Motors, wheel and thrusters compute forces
 and torques from the commands and speeds at the start of a control period, and hold them.
 """
 
@@ -13,36 +13,28 @@ import numpy as np
 
 from impact_envs.errors import InputError, choices
 from impact_envs.failure import TooManyEvents
-from impact_envs.floating_manipulator.actuation import compute_forces
-from impact_envs.floating_manipulator.events import FLOWN, HIT, advance_to_event
+from impact_envs.floating_manipulator.actuation import compute_forces, join_controls, make_actuators
+from impact_envs.floating_manipulator.collision import (
+    ENDLESS,
+    EVENTS,
+    STRIKE,
+    STRUCK,
+    Progress,
+    advance_to_impact,
+)
 from impact_envs.floating_manipulator.flow import (
-    compute_opening,
     compute_rows,
     find_contact,
     make_scratch,
     make_system,
 )
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
-from impact_envs.physics.impact import (
-    Impact,
-    Side,
-    apply_impulse,
-    compute_impulse,
-    compute_planar_jacobian,
-    compute_restitution,
-    is_rebound,
-)
+from impact_envs.physics.impact import Impact
 from impact_envs.physics.multibody import (
     compute_directions,
-    compute_jacobian,
     compute_kinetic_energy,
-    compute_mass_matrix,
     compute_momenta,
 )
-
-# An impact slower than this [m/s], or whose rebound would end within this time [s], is the start of pushing.
-LOW_SPEED, CONTACT_TIME = 1e-6, 0.005
-EVENTS = 20_000  # in one control period; more means the rule above has failed
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +80,7 @@ class FloatingManipulatorModel:
     def __init__(self, scenario: FloatingManipulatorScenario) -> None:
         self.scenario = scenario
         self._n = len(scenario.links)
-        self._scratch = make_scratch(self._n)
+        self._scratch, self._strike = make_scratch(self._n), np.zeros(1, STRIKE)
         self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
 
     def reset(self, physics: Physics) -> None:
@@ -99,7 +91,7 @@ class FloatingManipulatorModel:
         """
         scenario, n = self.scenario, self._n
         self.physics = physics
-        self._system = make_system(scenario, physics)
+        self._system, self._actuators = make_system(scenario, physics), make_actuators(scenario, physics)
         self._q, self._v = np.concatenate([scenario.start, physics.box_start]), np.zeros(n + 6)
         self._force = np.zeros(n + 6)
         self._touching = False
@@ -204,57 +196,33 @@ class FloatingManipulatorModel:
         """Compute the forces held over the next control period from the commands."""
         sizes = {"arm": self._n, "base": 3}
         checked = {agent: _check_control(agent, control, sizes[agent]) for agent, control in controls.items()}
-        self._force[:-3] = compute_forces(self.scenario, self.physics, self._v[:-3], checked)
+        compute_forces(self._actuators, self._v, join_controls(checked, self._n), self._force)
         if self.scenario.wheel:
             self.wheel_momentum -= self._force[2] * self.scenario.control_period
 
     def _advance(self, period: float) -> None:
-        """Advance the state by one control period, event by event."""
+        """Advance the state by one control period, impact by impact."""
         self.collisions = []
-        t = 0.0
-        for _ in range(EVENTS):
-            event, taken = advance_to_event(
-                self._system, self._force, self._q, self._v, period - t, self._touching, self._scratch
+        progress, status = Progress(0.0, self._touching, 0), STRUCK
+        restitution = self.physics.restitution, self.physics.restitution_speed
+        while status == STRUCK:
+            status, progress = advance_to_impact(
+                self._system, restitution, self._force, self._q, self._v, period, progress, self._scratch, self._strike
             )
-            t += taken
-            if event == FLOWN:
-                return
-            self._touching = False
-            if event == HIT:
-                self._collide(self.time + t)
-        raise TooManyEvents(EVENTS)
+            if status == STRUCK:
+                self.collisions.append(self._describe_collision())
+        self._touching = progress.touching
+        if status == ENDLESS:
+            raise TooManyEvents(EVENTS)
 
-    def _collide(self, time: float) -> None:
-        """Apply an impact to the velocities, or start to push."""
-        contact = find_contact(self._system, self._q, self._v, self._scratch)
-        press = -compute_opening(self._system, self._force, self._q, self._v, self._scratch)
-        speed = -contact.rate
-        rebounds = is_rebound(speed, press, LOW_SPEED, CONTACT_TIME)
-        physics = self.physics
-        e = compute_restitution(speed, physics.restitution, physics.restitution_speed) if rebounds else 0.0
-        normal = np.array([-contact.nx, -contact.ny])
-        tip, box = self._make_sides(np.array([contact.rx, contact.ry]))
-        impulse = compute_impulse(normal, tip, box, e) * normal
-        self._v[:-3], self._v[-3:] = apply_impulse(tip, -impulse), apply_impulse(box, impulse)
-        self._touching = not rebounds and press > 0.0
-        if rebounds:
-            point = self._q[-3] + contact.rx, self._q[-2] + contact.ry
-            impact = Impact(time, "tip", "box", _as_pair(point), _as_pair(normal), _as_pair(impulse), float(speed))
-            q, v = self._q.copy(), self._v.copy()
-            self.collisions.append(
-                Collision(impact, q[:-3], tip.velocity, v[:-3], q[-3:], box.velocity, v[-3:]),
-            )
-
-    def _make_sides(self, arm: np.ndarray) -> tuple[Side, Side]:
-        """Return manipulator and box as the impact law sees them."""
-        n, chain = self._n, self._system.chain
-        w, rates = self._scratch.w, self._scratch.rates
-        compute_directions(chain, self._q, self._v, w, rates)
-        M, J = np.zeros((n + 3, n + 3)), np.zeros((2, n + 3))
-        compute_mass_matrix(chain, w, M)
-        compute_jacobian(w, chain.levers[-1], J)
-        masses = np.diag([self._system.box_mass, self._system.box_mass, self._system.box_inertia])
-        return Side(J, M, self._v[:-3].copy()), Side(compute_planar_jacobian(arm), masses, self._v[-3:].copy())
+    def _describe_collision(self) -> Collision:
+        """Return the impact that just happened."""
+        strike, v_minus = self._strike[0], self._scratch.v_minus.copy()
+        time, speed, normal = self.time + float(strike["time"]), float(strike["speed"]), strike["normal"]
+        point, impulse = _as_pair(strike["point"]), _as_pair(strike["impulse"] * normal)
+        q, v = self._q.copy(), self._v.copy()
+        impact = Impact(time, "tip", "box", point, _as_pair(normal), impulse, speed)
+        return Collision(impact, q[:-3], v_minus[:-3], v[:-3], q[-3:], v_minus[-3:], v[-3:])
 
 
 def _check_control(agent: str, control: np.ndarray, size: int) -> np.ndarray:

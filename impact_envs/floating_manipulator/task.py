@@ -10,13 +10,13 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from impact_envs.agent_vectors import read_vectors
-from impact_envs.floating_manipulator.actuation import compute_forces
+from impact_envs.floating_manipulator.actuation import compute_forces, join_controls, make_actuators
 from impact_envs.floating_manipulator.observation import find_places, make_layout, select_felt, write_observation
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
 from impact_envs.floating_manipulator.secrets import list_secrets, make_secrets_layout
+from impact_envs.floating_manipulator.signals import find_length, read_coordinates, write_signals
 from impact_envs.observation import MOTION, Layout
 from impact_envs.physics.impact import Impact
-from impact_envs.physics.multibody import compute_directions, compute_momenta
 from impact_envs.reward import compute_effort
 from impact_envs.shape import Shape
 from impact_envs.stl import SIGNALS, Distance
@@ -45,6 +45,9 @@ class FloatingManipulatorTask:
     ``base.momentum_x, base.momentum_y`` [N s] and ``base.angular_momentum`` [N m s] about the world's origin, of base,
     arm and load together; the same of ``box``; ``tip.impulse``, the sum of impulses on the box in the last control
     period [N s]; ``tip.since_impact``, the time since the last impact felt, before the first one the horizon [s].
+
+    Attributes:
+        signal_names: in the order of `signals`.
     """
 
     def __init__(self, scenario: FloatingManipulatorScenario) -> None:
@@ -56,8 +59,11 @@ class FloatingManipulatorTask:
         self._noise = np.array(
             [true.position_noise] * 2 + [true.speed_noise] * 2 + [true.heading_noise, true.rate_noise]
         )
-        self._names = [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS] + list(scenario.extra_signals)
+        states = [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS]
+        self.signal_names = (*states, *scenario.extra_signals)
         self._w, self._rates = np.zeros((self._n + 1, 2)), np.zeros(self._n + 1)
+        self._values = np.zeros(len(self.signal_names))
+        self._q, self._v = np.zeros(self._n + 3), np.zeros(self._n + 3)
         self.action_spaces = {agent: Box(-1.0, 1.0, limit.shape, np.float32) for agent, limit in self._limits.items()}
         self.joint_layout = make_layout(scenario)
         self.layouts = dict.fromkeys(scenario.agents, self.joint_layout)
@@ -75,7 +81,7 @@ class FloatingManipulatorTask:
             states: true start states, shape (bodies, 6).
             rng: the episode's generator.
         """
-        self._physics = physics
+        self._physics, self._actuators = physics, make_actuators(self.scenario, physics)
         self._torques, self._impulse, self._since, self._samples = np.zeros(self._n), 0.0, self.scenario.horizon, 0
         self._hit: float | None = None
         self._rng = rng
@@ -90,7 +96,9 @@ class FloatingManipulatorTask:
         """
         read = read_vectors(actions, self._sizes, "action")
         controls = {name: np.minimum(np.maximum(read[name], -1.0), 1.0) * self._limits[name] for name in actions}
-        self._torques = compute_forces(self.scenario, self._physics, self._v, controls)[3:]
+        force = np.empty(self._n + 3)
+        compute_forces(self._actuators, self._v, join_controls(controls, self._n), force)
+        self._torques = force[3:]
         return controls
 
     def effort(self, action: np.ndarray) -> float:
@@ -115,7 +123,7 @@ class FloatingManipulatorTask:
         felt = select_felt(impacts)
         self._store_sample(states, bool(felt))
         self._samples += 1
-        self._impulse = sum(math.hypot(*impact.impulse) for impact in impacts)
+        self._impulse = sum((find_length(*impact.impulse) for impact in impacts), 0.0)
         if felt:
             self._hit = felt[-1].time
         if self._hit is not None:
@@ -144,15 +152,10 @@ class FloatingManipulatorTask:
         Args:
             states: true states, those last sensed, shape (bodies, 6).
         """
-        n, physics = self._n, self._physics
-        joints = [value for pair in zip(self._v[3:].tolist(), self._torques.tolist(), strict=True) for value in pair]
-        compute_directions(physics.chain, self._q, self._v, self._w, self._rates)
-        px, py, spin = compute_momenta(physics.chain, self._q, self._v, self._w, self._rates)
-        x, y, vx, vy, _, box_omega = states[n + 2].tolist()
-        qx, qy = physics.box_mass * vx, physics.box_mass * vy
-        moments = [px, py, qx, qy, spin, physics.box_inertia * box_omega + x * qy - y * qx]
-        values = [*states.ravel().tolist(), *joints, *moments, self._impulse, self._since]
-        return dict(zip(self._names, values, strict=True))
+        physics, felt = self._physics, (self._impulse, self._since)
+        box, work = (physics.box_mass, physics.box_inertia), (self._w, self._rates)
+        write_signals(physics.chain, box, states, self._q, self._v, self._torques, felt, work, self._values)
+        return dict(zip(self.signal_names, self._values.tolist(), strict=True))
 
     def signal_bounds(self) -> dict[str, tuple[float, float]]:
         """Return the bounds known beforehand: the goal is fixed, times and impulses are not negative."""
@@ -199,12 +202,7 @@ class FloatingManipulatorTask:
 
     def _store_sample(self, states: np.ndarray, contact: bool) -> None:
         """Store the true coordinates of the manipulator, and the measurement that is observed after the delay."""
-        n = self._n
-        self._q, self._v = np.empty(n + 3), np.empty(n + 3)
-        for vector, columns in ((self._q, (0, 1, 4)), (self._v, (2, 3, 5))):
-            for i, column in enumerate(columns):
-                vector[i] = states[0, column]
-            vector[3:] = states[1 : n + 1, columns[2]] - states[:n, columns[2]]
+        read_coordinates(states, self._q, self._v)
         measured = states.copy()
         if self._noise.any():
             measured[:-1] += self._noise * self._rng.standard_normal((len(states) - 1, 6))

@@ -17,9 +17,10 @@ import numpy as np
 import torch
 from numba import config, cuda, float64, int64, typeof, types
 
+from impact_envs.capacity import check_size
 from impact_envs.compiled import retarget
 from impact_envs.errors import InputError
-from impact_envs.free_flyer.batch import Batch, BatchViews, check_size
+from impact_envs.free_flyer.batch import Batch, BatchViews
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.free_flyer.step import LEAVE, START, STEP, Memory, Output, run_range
 from impact_envs.free_flyer.worlds import REST, Scratch, Worlds, write_physics
@@ -63,6 +64,7 @@ class GpuBatch(BatchViews):
         self._host = host = Batch(scenario, 1, max_cycles, dtype)
         self._last, self._formula, self.task = host._last, host._formula, host.task
         self.robots, self.bodies = host.robots, host.bodies
+        self.action_shape = host.action_shape
         self.joint_size, self.agent_size = host.joint_size, host.agent_size
         pairs, columns = len(host._arena.pairs), (host._scratch.motion.shape[2], host._scratch.contacts.shape[2])
         check_room(scenario.name, self.bodies, pairs)

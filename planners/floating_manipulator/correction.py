@@ -3,32 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
+from impact_envs.compiled import compiled
 from impact_envs.floating_manipulator.contact import compute_contact
-from impact_envs.floating_manipulator.observation import Measurement
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
-from impact_envs.physics.multibody import Chain, compute_directions, compute_point
-from planners.floating_manipulator.options import CorrectionOptions
+from planners.floating_manipulator.options import Options
+from planners.floating_manipulator.readings import locate_tip
+from planners.floating_manipulator.world_memory import PAUSE, PHASES, ExpertMemory, ExpertScratch, ExpertTable
 
-PHASES = ("before", "pause", "after")
-
-
-@dataclass(frozen=True, eq=False)
-class Correction:
-    """Change of the OSDRE over one period of corrections.
-
-    Attributes:
-        torques: added before the motors' limits, shape (n,) [N m].
-        effort: factor on R.
-        speed_weight: factor on the weights of the tip's velocity in Q.
-    """
-
-    torques: np.ndarray
-    effort: float
-    speed_weight: float
+ROUND_OFF = 1e-9  # of times [s]
 
 
 def get_correction_size(scenario: FloatingManipulatorScenario) -> int:
@@ -41,69 +26,80 @@ def get_feature_size(scenario: FloatingManipulatorScenario) -> int:
     return 2 * len(scenario.links) + 27
 
 
-def scale_correction(scenario: FloatingManipulatorScenario, c: np.ndarray, options: CorrectionOptions) -> Correction:
-    """Scale a correction to physical units.
+@compiled
+def await_correction(
+    table: ExpertTable, memory: ExpertMemory, options: Options, scratch: ExpertScratch, k: int
+) -> None:
+    """Decide whether world k awaits a correction in this control step, and forget one that is over.
+
+    None is awaited in a pause, nor near the goal; there the last one ends.
+    """
+    state, correction = memory.state[k], options.correction
+    due, under_way = state.time >= state.due - ROUND_OFF, state.phase != PAUSE
+    if under_way and (due or state.is_corrected):
+        x, y, _, _, _, _ = locate_tip(table, memory, scratch, k)
+        under_way = math.hypot(x - table.goal[0], y - table.goal[1]) > correction.goal_distance
+    if not under_way:
+        state.due = state.time
+    state.is_awaited = under_way and due
+    if state.is_awaited or not under_way:
+        state.is_corrected = False
+
+
+@compiled
+def wait_for_next(memory: ExpertMemory, options: Options, k: int) -> None:
+    """Let world k await its next correction a period later."""
+    state = memory.state[k]
+    state.is_awaited, state.due = False, state.time + options.correction.period
+
+
+@compiled
+def correct_world(table: ExpertTable, memory: ExpertMemory, options: Options, k: int, c: np.ndarray) -> None:
+    """Set world k's correction until the next one is awaited.
 
     Args:
-        scenario: as believed, with the stall torques of the motors.
         c: in [-1, 1], shape (n + 2,): for n torques, the weight R, and the weights of the tip's velocity in Q.
-        options: ranges.
     """
-    stall = np.array([link.stall_torque for link in scenario.links.values()])
-    effort, speed_weight = (math.exp(options.log_range * float(value)) for value in c[-2:])
-    return Correction(options.torque_share * stall * c[:-2], effort, speed_weight)
+    state, limits, n = memory.state[k], options.correction, memory.torques.shape[1]
+    for j in range(n):
+        memory.torques[k, j] = limits.torque_share * table.actuators.stall_torque[j] * c[j]
+    state.effort, state.speed_weight = math.exp(limits.log_range * c[n]), math.exp(limits.log_range * c[n + 1])
+    state.is_corrected = True
+    wait_for_next(memory, options, k)
 
 
-def compute_tip(chain: Chain, q: np.ndarray, v: np.ndarray) -> tuple[float, float, float, float, float, float]:
-    """Return x, y, vx, vy of the tip, and the ax, ay that come from its rates alone [m], [m/s], [m/s^2].
+@compiled
+def write_features(
+    table: ExpertTable, memory: ExpertMemory, scratch: ExpertScratch, k: int, features: np.ndarray
+) -> None:
+    """Write what a learner may observe of world k.
 
     Args:
-        chain: of the manipulator.
-        q, v: coordinates and rates, shape (n + 3,).
+        features: takes it, shape (2 n + 27,): time / horizon; one-hot phase (3); tip relative to its goal (2) [m] and
+            its velocity (2) [m/s]; cos(psi), sin(psi); joint angles (n) [rad]; base rates (3) [m/s], [rad/s]; joint
+            rates (n) [rad/s]; momenta used by the OSDRE: P_x, P_y and L about the world's origin (3) [N s], [N m s];
+            impacts felt so far; gap between tip and box [m], its rate [m/s], normal from box to tip (2), nearest point
+            relative to the box's centre (2) [m], speed along the box [m/s]; velocity of the box (3) [m/s], [rad/s].
     """
-    w, rates = np.zeros((len(q) - 2, 2)), np.zeros(len(q) - 2)
-    compute_directions(chain, q, v, w, rates)
-    return compute_point(q, v, w, rates, chain.levers[-1])
-
-
-def compute_features(
-    scenario: FloatingManipulatorScenario,
-    chain: Chain,
-    measurement: Measurement,
-    phase: str,
-    momenta: np.ndarray,
-    impacts: int,
-) -> np.ndarray:
-    """Compute what a learner may observe.
-
-    Args:
-        scenario: as believed.
-        chain: of the manipulator, as believed.
-        measurement: of this control step.
-        phase: one of `PHASES`.
-        momenta: used by the OSDRE: P_x, P_y and L about the world's origin, shape (3,) [N s], [N m s].
-        impacts: number felt so far.
-
-    Returns:
-        Shape (2 n + 27,): time / horizon; one-hot phase (3); tip relative to its goal (2) [m] and its velocity (2)
-        [m/s]; cos(psi), sin(psi); joint angles (n) [rad]; base rates (3) [m/s], [rad/s]; joint rates (n) [rad/s];
-        momenta (3); impacts; gap between tip and box [m], its rate [m/s], normal from box to tip (2), nearest point
-        relative to the box's centre (2) [m], speed along the box [m/s]; velocity of the box (3) [m/s], [rad/s].
-    """
-    q, v, box = measurement.q, measurement.v, measurement.box
-    tip = compute_tip(chain, q, v)
-    length, width = scenario.box.size
-    contact = compute_contact(tip, scenario.load.radius, tuple(box.tolist()), length / 2, width / 2)
-    parts = (
-        [measurement.time / scenario.horizon],
-        [float(phase == name) for name in PHASES],
-        [tip[0] - scenario.arm.goal[0], tip[1] - scenario.arm.goal[1], tip[2], tip[3]],
-        [math.cos(q[2]), math.sin(q[2])],
-        q[3:],
-        v,
-        momenta,
-        [float(impacts)],
-        contact[:-1],
-        box[3:],
-    )
-    return np.concatenate(parts)
+    state, system, q, v, box = memory.state[k], table.system, memory.q[k], memory.v[k], memory.box[k]
+    m = len(q)
+    features[0] = state.time / table.horizon
+    for phase in range(len(PHASES)):
+        features[1 + phase] = 1.0 if state.phase == phase else 0.0
+    x, y, vx, vy, ax, ay = locate_tip(table, memory, scratch, k)
+    features[4], features[5], features[6], features[7] = x - table.goal[0], y - table.goal[1], vx, vy
+    features[8], features[9] = math.cos(q[2]), math.sin(q[2])
+    for j in range(3, m):
+        features[7 + j] = q[j]
+    for i in range(m):
+        features[7 + m + i] = v[i]
+    at = 7 + 2 * m
+    for i in range(3):
+        features[at + i], features[at + 11 + i] = state.momenta[i], box[3 + i]
+    features[at + 3] = state.impacts
+    tip, pose = (x, y, vx, vy, ax, ay), (box[0], box[1], box[2], box[3], box[4], box[5])
+    contact = compute_contact(tip, system.radius, pose, system.half_length, system.half_width)
+    features[at + 4], features[at + 5] = contact.gap, contact.rate
+    features[at + 6], features[at + 7] = contact.nx, contact.ny
+    features[at + 8], features[at + 9] = contact.rx, contact.ry
+    features[at + 10] = contact.slip

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from impact_envs.errors import InputError, choices
 from planners.options import Count, CountOrNone, Positive, replace_options, select_options
+
+# Forms of the state-dependent coefficients, in compiled code by their numbers.
+COEFFICIENTS = ("absolute_output", "printed")
+PRINTED = COEFFICIENTS.index("printed")
 
 
 class RegulatorOptions(NamedTuple):
@@ -131,3 +139,36 @@ def get_options(variant: str | None) -> Options:
         InputError: unknown variant.
     """
     return select_options(variant, VARIANTS, EXPERT)
+
+
+@cache
+def make_record(options: Options) -> np.ndarray:
+    """Return options as compiled code takes them: one record with fields of the same names.
+
+    The form of the coefficients is its number in `COEFFICIENTS`.
+
+    Returns:
+        Shape (1,); options.recovery.damping is record[0]["recovery"]["damping"].
+
+    Raises:
+        InputError: unknown form of the coefficients.
+    """
+    form = options.regulator.coefficients
+    if form not in COEFFICIENTS:
+        raise InputError(f"expert.regulator.coefficients '{form}' is unknown; {choices(form, COEFFICIENTS)}")
+    number: Any = COEFFICIENTS.index(form)
+    encoded = options._replace(regulator=options.regulator._replace(coefficients=number))
+    record = np.zeros(1, _make_dtype(encoded))
+    record[0] = encoded
+    return record
+
+
+def _make_dtype(options: Any) -> np.dtype:
+    columns: list[Any] = [(name, *_describe(value)) for name, value in zip(options._fields, options, strict=True)]
+    return np.dtype(columns, align=True)
+
+
+def _describe(value: Any) -> tuple[Any, ...]:
+    if hasattr(value, "_fields"):
+        return (_make_dtype(value),)
+    return (float, len(value)) if isinstance(value, tuple) else (type(value),)

@@ -1,152 +1,149 @@
-"""What the floating manipulator's expert believes of its readings; the believed model stands in for the others."""
+"""What the floating manipulator's expert believes of its readings; the believed model stands in for the others.
+
+The manipulator and the box are judged apart, each by a `reading_gate` whose reach `reading_reach` says.
+"""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Mapping
 
 import numpy as np
 
 from impact_envs.compiled import compiled
 from impact_envs.floating_manipulator.actuation import compute_forces
 from impact_envs.floating_manipulator.contact import compute_contact
-from impact_envs.floating_manipulator.flow import System, make_scratch, take_step
-from impact_envs.floating_manipulator.observation import Measurement
-from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
-from planners.floating_manipulator.correction import compute_tip
-from planners.floating_manipulator.options import EXPERT, ReadingOptions
-from planners.reading_gate import BELIEVED, COUNTS, REJECTED, Q, V, judge_reading, make_gate, open_gate, predict_reading
+from impact_envs.floating_manipulator.flow import take_step
+from impact_envs.physics.multibody import compute_directions, compute_point
+from planners.floating_manipulator.options import Options, ReadingOptions
+from planners.floating_manipulator.world_memory import ExpertMemory, ExpertScratch, ExpertTable
+from planners.reading_gate import BELIEVED, MISSING, REJECTED, Q, V, judge_reading, predict_reading
 
-
-class Readings:
-    """Replace readings that are missing, or that no motion explains, by what the believed model does meanwhile.
-
-    The manipulator and the box are judged apart, each by a `reading_gate`. In its reach the margins are shares of the
-    arm's length; the actuators push the base by (F + sum tau / l) / m and (tau_w + tau_1) / I, joint i by
-    2 tau_i / I_i; and an impact changes the speed of a point by at most 2 v, where v = sum_i w_i L_i is the speed of
-    the tip when every joint runs at its no-load speed w_i, L_i away from the tip.
-
-    The clock goes forward by at most `clock_steps` periods; otherwise a period is added. A contact is believed if the
-    tip is near the box.
-
-    Args:
-        scenario: as believed.
-        options: margins, patience.
-
-    Attributes:
-        counts: how often readings were missing, rejected, taken up.
-    """
-
-    def __init__(self, scenario: FloatingManipulatorScenario, options: ReadingOptions = EXPERT.readings) -> None:
-        self._scenario, self._options, self._period = scenario, options, scenario.control_period
-        self._physics = scenario.draw(np.random.default_rng(0))  # as believed: nothing is drawn
-        (length, width), physics = scenario.box.size, self._physics
-        masses = physics.chain, physics.box_mass, physics.box_inertia
-        self._system = System(*masses, length / 2, width / 2, scenario.load.radius)
-        self._scratch, self._length = make_scratch(len(scenario.links)), sum(x.length for x in scenario.links.values())
-        self._arm, self._box = _make_gates(scenario, options)
-        self.reset()
-
-    def reset(self) -> None:
-        """Expect the manipulator at its start, and the box anywhere."""
-        self.counts: Counter[str] = Counter()
-        self._time = -self._period
-        open_gate(self._arm, self._scenario.start)
-        box = self._scenario.box
-        open_gate(self._box, np.array([*box.start, box.heading]), known=False)
-
-    def check(self, measurement: Measurement, controls: Mapping[str, np.ndarray] | None) -> Measurement:
-        """Return a measurement to act on: as it is, or with what is not believed of it replaced.
-
-        Args:
-            measurement: as read.
-            controls: of the period before it, None at the start.
-        """
-        contact, limits = measurement.contact, (self._period, measurement.contact, self._options.patience)
-        arm_use, box_use = judge_parts(self._arm, self._box, measurement.q, measurement.v, measurement.box, *limits)
-        time = self._read_clock(measurement.time)
-        if arm_use == BELIEVED and box_use == BELIEVED and time == measurement.time and not contact:
-            return measurement
-        self.counts.update(COUNTS[use] for use in (arm_use, box_use) if use != BELIEVED)
-        if arm_use <= REJECTED or box_use <= REJECTED:
-            a = self._accelerate(controls)
-            if arm_use <= REJECTED:
-                predict_reading(self._arm, a[:-3], self._period)
-            if box_use <= REJECTED:
-                predict_reading(self._box, a[-3:], self._period)
-        box = self._box[[Q, V]].ravel()
-        contact = contact and self._is_contact_possible(box)
-        return Measurement(time, self._arm[Q].copy(), self._arm[V].copy(), contact, box)
-
-    def _is_contact_possible(self, box: np.ndarray) -> bool:
-        """Return whether the tip is so near the box that it may have touched it; otherwise count it as rejected."""
-        tip, (length, width) = compute_tip(self._physics.chain, self._arm[Q], self._arm[V]), self._scenario.box.size
-        place = compute_contact(tip, self._scenario.load.radius, tuple(box.tolist()), length / 2, width / 2)
-        possible = bool(place.gap <= self._options.place * self._length + math.hypot(*tip[2:4]) * self._period)
-        self.counts["rejected"] += not possible
-        return possible
-
-    def _accelerate(self, controls: Mapping[str, np.ndarray] | None) -> np.ndarray:
-        """Return the mean acceleration of manipulator and box over a period, in free flight, shape (n + 6,)."""
-        force = np.zeros(self._arm.shape[1] + 3)
-        if controls is not None:
-            force[:-3] = compute_forces(self._scenario, self._physics, self._arm[V], controls)
-        q, v = (np.concatenate([self._arm[row], self._box[row]]) for row in (Q, V))
-        take_step(self._system, force, q, v, self._period, False, self._scratch)
-        return (self._scratch.v_next - v) / self._period
-
-    def _read_clock(self, time: float) -> float:
-        """Return the time of a measurement: as read, or a period after the last one where that is impossible [s]."""
-        if not 0.0 < time - self._time <= self._options.clock_steps * self._period:
-            self.counts["rejected"] += 1
-            time = self._time + self._period
-        self._time = time
-        return time
+UNIT_ERROR = 0.25  # from a length of 1, above which two numbers are no cosine and sine
 
 
 @compiled
-def judge_parts(
-    arm_gate: np.ndarray,
-    box_gate: np.ndarray,
-    q: np.ndarray,
-    v: np.ndarray,
-    box: np.ndarray,
-    period: float,
-    touched: bool,
-    patience: float,
-) -> tuple[int, int]:
-    """Return what is done with the readings of the manipulator and of the box, see `judge_reading`."""
-    arm_use = judge_reading(arm_gate, q, v, period, touched, patience)
-    return arm_use, judge_reading(box_gate, box[:3], box[3:], period, touched, patience)
+def is_start(table: ExpertTable, joint: np.ndarray, k: int) -> bool:
+    """Return whether world k's observation is the first of an episode; one of zeros alone is none."""
+    at, row = table.at, joint[k]
+    return row[at.time] == 0.0 and (row[at.base + 2] != 0.0 or row[at.base + 3] != 0.0)
 
 
-def _make_gates(scenario: FloatingManipulatorScenario, options: ReadingOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Return the gate of base and joints, and that of the box."""
-    links, base = list(scenario.links.values()), scenario.base
-    lengths = np.array([link.length for link in links])
-    to_tip = np.cumsum(lengths[::-1])[::-1]
-    torques, size = np.array([link.stall_torque for link in links]), float(to_tip[0])
-    jump = 2.0 * float(np.array([link.no_load_speed for link in links]) @ to_tip)
-    force = scenario.thrusters.force if scenario.thrusters else 0.0
-    wheel = scenario.wheel.stall_torque if scenario.wheel else 0.0
-    linear = (force * math.sqrt(2.0) + float(np.sum(torques / lengths))) / base.mass
-    joints = 2.0 * torques / np.array([link.inertia for link in links])
-    turning = (wheel + torques[0]) / base.inertia
-    place, speed = options.place * size, options.speed * size
-    spin, n = jump / float(min(lengths)), len(links)
-    arm = make_gate(
-        place=np.array([place, place, *[options.angle] * (n + 1)]),
-        rate=np.array([speed, speed, *[options.rate] * (n + 1)]),
-        push=np.array([linear, linear, turning, *joints]),
-        jump=np.array([jump, jump, *[spin] * (n + 1)]),
-        turns=np.arange(n + 3) == 2,
-    )
-    box = make_gate(
-        place=np.array([place, place, options.angle]),
-        rate=np.array([speed, speed, options.rate]),
-        push=np.zeros(3),
-        jump=np.array([jump, jump, 2.0 * jump / min(scenario.box.size)]),
-        turns=np.arange(3) == 2,
-    )
-    return arm, box
+@compiled
+def read_heading(cos: float, sin: float) -> float:
+    """Return the angle of a direction; NaN if its length is not about 1 [rad]."""
+    return math.atan2(sin, cos) if abs(math.hypot(cos, sin) - 1.0) <= UNIT_ERROR else math.nan
+
+
+@compiled
+def read_observation(table: ExpertTable, memory: ExpertMemory, k: int, joint: np.ndarray) -> None:
+    """Read world k's measurement; headings lie in [-pi, pi], NaN if what was read is no direction.
+
+    Args:
+        joint: observations, shape (N, 2 n + 22).
+    """
+    at, row, state = table.at, joint[k], memory.state[k]
+    q, v, box = memory.q[k], memory.v[k], memory.box[k]
+    q[0], q[1], q[2] = row[at.base], row[at.base + 1], read_heading(row[at.base + 2], row[at.base + 3])
+    for i in range(3):
+        v[i] = row[at.base_rates + i]
+    for j in range(len(q) - 3):
+        q[3 + j], v[3 + j] = row[at.joints + j], row[at.joint_rates + j]
+    box[0], box[1], box[2] = row[at.box], row[at.box + 1], read_heading(row[at.box + 4], row[at.box + 5])
+    box[3], box[4], box[5] = row[at.box + 2], row[at.box + 3], row[at.box + 6]
+    state.time = row[at.time] * table.horizon
+    state.contact = 0.5 < row[at.contact] < 1.5
+
+
+@compiled
+def check_readings(table: ExpertTable, memory: ExpertMemory, options: Options, scratch: ExpertScratch, k: int) -> None:
+    """Replace what is not believed of world k's measurement, and count it.
+
+    The clock goes forward by at most `clock_steps` periods; otherwise a period is added. A contact is believed if the
+    tip is near the box.
+    """
+    state, limits, period = memory.state[k], options.readings, table.period
+    q, v, box = memory.q[k], memory.v[k], memory.box[k]
+    arm_gate, box_gate = memory.arm_gate[k], memory.box_gate[k]
+    touched = state.contact
+    arm_use = judge_reading(arm_gate, q, v, period, touched, limits.patience)
+    box_use = judge_reading(box_gate, box[:3], box[3:], period, touched, limits.patience)
+    read_clock(table, memory, limits, k)
+    if arm_use != BELIEVED or box_use != BELIEVED:
+        count_use(memory, k, arm_use)
+        count_use(memory, k, box_use)
+        if arm_use <= REJECTED or box_use <= REJECTED:
+            predict(table, memory, scratch, k, arm_use <= REJECTED, box_use <= REJECTED)
+        for i in range(len(q)):
+            q[i], v[i] = arm_gate[Q, i], arm_gate[V, i]
+        for i in range(3):
+            box[i], box[3 + i] = box_gate[Q, i], box_gate[V, i]
+    if touched and not is_contact_possible(table, memory, limits, scratch, k):
+        memory.counts[k].rejected += 1
+        state.contact = False
+
+
+@compiled
+def read_clock(table: ExpertTable, memory: ExpertMemory, limits: ReadingOptions, k: int) -> None:
+    """Believe world k's time, or a period after the last one where what was read is impossible."""
+    state = memory.state[k]
+    if not 0.0 < state.time - state.clock <= limits.clock_steps * table.period:
+        memory.counts[k].rejected += 1
+        state.time = state.clock + table.period
+    state.clock = state.time
+
+
+@compiled
+def count_use(memory: ExpertMemory, k: int, use: int) -> None:
+    """Count what was done with a reading of world k."""
+    counts = memory.counts[k]
+    if use == MISSING:
+        counts.no_measurement += 1
+    elif use == REJECTED:
+        counts.rejected += 1
+    elif use != BELIEVED:
+        counts.taken_up += 1
+
+
+@compiled
+def predict(
+    table: ExpertTable, memory: ExpertMemory, scratch: ExpertScratch, k: int, arm_missing: bool, box_missing: bool
+) -> None:
+    """Move what is believed of world k on by a period, in free flight under the last controls."""
+    arm_gate, box_gate, period = memory.arm_gate[k], memory.box_gate[k], table.period
+    force, q, v, m = scratch.force, scratch.q, scratch.v, memory.q.shape[1]
+    for i in range(m):
+        q[i], v[i] = arm_gate[Q, i], arm_gate[V, i]
+    for i in range(3):
+        q[m + i], v[m + i], force[m + i] = box_gate[Q, i], box_gate[V, i], 0.0
+    compute_forces(table.actuators, v, memory.command[k], force)
+    take_step(table.system, force, q, v, period, False, scratch.flow)
+    for i in range(m + 3):
+        force[i] = (scratch.flow.v_next[i] - v[i]) / period  # the mean acceleration
+    if arm_missing:
+        predict_reading(arm_gate, force[:m], period)
+    if box_missing:
+        predict_reading(box_gate, force[m:], period)
+
+
+@compiled
+def is_contact_possible(
+    table: ExpertTable, memory: ExpertMemory, limits: ReadingOptions, scratch: ExpertScratch, k: int
+) -> bool:
+    """Return whether world k's tip is so near the box that it may have touched it."""
+    x, y, vx, vy, ax, ay = locate_tip(table, memory, scratch, k)
+    system, box = table.system, memory.box[k]
+    pose = (box[0], box[1], box[2], box[3], box[4], box[5])
+    tip = (x, y, vx, vy, ax, ay)
+    contact = compute_contact(tip, system.radius, pose, system.half_length, system.half_width)
+    return contact.gap <= limits.place * table.reach + math.hypot(vx, vy) * table.period
+
+
+@compiled
+def locate_tip(
+    table: ExpertTable, memory: ExpertMemory, scratch: ExpertScratch, k: int
+) -> tuple[float, float, float, float, float, float]:
+    """Return x, y, vx, vy of world k's tip, and the ax, ay that come from its rates alone [m], [m/s], [m/s^2]."""
+    chain, output = table.system.chain, scratch.output
+    q, v = memory.q[k], memory.v[k]
+    compute_directions(chain, q, v, output.w, output.rates)
+    return compute_point(q, v, output.w, output.rates, chain.levers[len(chain.levers) - 1])

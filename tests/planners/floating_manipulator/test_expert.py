@@ -16,10 +16,10 @@ from impact_envs.floating_manipulator.observation import Measurement, make_layou
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from impact_envs.stl import Trace, parse, satisfied
 from planners import list_variants, make_expert
-from planners.floating_manipulator.correction import compute_tip
 from planners.floating_manipulator.expert import FloatingManipulatorExpert
 from planners.floating_manipulator.options import EXPERT
 from planners.options import replace_options
+from tests.planners.floating_manipulator.oracle.correction import compute_tip
 
 FOLDER = Path(impact_envs.__file__).parent / "floating_manipulator"
 GOAL = np.array([3.0, 0.0])

@@ -21,7 +21,7 @@ from planners.floating_manipulator.osdre import (
     compute_output_dynamics,
     fill_coefficients,
 )
-from planners.floating_manipulator.output_regulator import OutputRegulator
+from tests.planners.floating_manipulator.oracle.output_regulator import OutputRegulator
 
 LINK = (2.0, 0.6667, 2.0, 1.0)
 

@@ -6,21 +6,42 @@ import pytest
 import impact_envs
 from impact_envs import parallel_env, rollout
 from planners import make_expert
-from planners.floating_manipulator.options import EXPERT
-from planners.floating_manipulator.pulses import Thrusters
+from planners.floating_manipulator.options import EXPERT, make_record
+from planners.floating_manipulator.pulses import fire_axis, forget_pulses
+from planners.floating_manipulator.world_memory import make_expert_memory, make_expert_table
+from tests.planners.floating_manipulator.oracle.pulses import Thrusters as ReadableThrusters
 
 FORCE, DEAD_ZONE, MASS, PERIOD = 50.0, 1.0, 5.0, 0.005
 OPTIONS = EXPERT.recovery
 POSITION_GAIN, SPEED_GAIN = OPTIONS.thruster_gain, OPTIONS.damping * OPTIONS.thruster_gain
 
 
+SCENARIO = impact_envs.load_scenario("floating_manipulator_thrusters")
+
+
+class Thrusters:
+    """The compiled pulses of one world."""
+
+    def __init__(self, force=FORCE):
+        world = SCENARIO.override({"thrusters.force": force, "thrusters.dead_zone": DEAD_ZONE, "base.mass": MASS})
+        self._table = make_expert_table(world.override({"control_period": PERIOD}), EXPERT)
+        self._memory = make_expert_memory(self._table, EXPERT, 1)
+
+    def reset(self):
+        forget_pulses(self._memory, 0)
+
+    def fire(self, desired):
+        known = self._table, self._memory, make_record(EXPERT)[0], 0
+        return np.array([fire_axis(*known, axis, float(force)) for axis, force in enumerate(desired)])
+
+
 def make():
-    return Thrusters(FORCE, DEAD_ZONE, MASS, PERIOD, OPTIONS)
+    return Thrusters()
 
 
 def brake(mass, delay, noise=0.0, start=0.1, force=FORCE, seconds=4.0, gain=POSITION_GAIN):
     """Speeds of a base along x [m/s], and the forces on it, under measurements that are old and noisy."""
-    thrusters, rng = Thrusters(force, DEAD_ZONE, MASS, PERIOD, OPTIONS), np.random.default_rng(0)
+    thrusters, rng = Thrusters(force), np.random.default_rng(0)
     x, v, seen, speeds, forces = 0.0, start, [], [], []
     for _ in range(round(seconds / PERIOD)):
         seen.append((x + noise * rng.standard_normal(), v + noise * rng.standard_normal()))
@@ -30,6 +51,17 @@ def brake(mass, delay, noise=0.0, start=0.1, force=FORCE, seconds=4.0, gain=POSI
         speeds.append(v)
         forces.append(fx)
     return np.array(speeds), np.array(forces)
+
+
+def test_pulses_are_those_of_the_readable_form():
+    compiled, readable = make(), ReadableThrusters(FORCE, DEAD_ZONE, MASS, PERIOD, OPTIONS)
+    rng = np.random.default_rng(1)
+    for k in range(400):
+        desired = rng.normal(size=2) * 10.0 ** rng.uniform(-1.0, 2.0)
+        np.testing.assert_array_equal(compiled.fire(desired), readable.fire(desired))
+        if k == 200:
+            compiled.reset()
+            readable.reset()
 
 
 @pytest.mark.parametrize("mass", [5.0, 12.0])

@@ -10,11 +10,10 @@ from impact_envs.errors import InputError, choices
 from impact_envs.floating_manipulator.contact import compute_contact
 from impact_envs.physics.multibody import Chain
 from planners.floating_manipulator.compensation import avoid_box, compensate_drift
-from planners.floating_manipulator.options import EXPERT, CompensationOptions, RegulatorOptions
+from planners.floating_manipulator.options import COEFFICIENTS, EXPERT, CompensationOptions, RegulatorOptions
 from planners.floating_manipulator.osdre import compute_torques, make_output_scratch
 
 Source = Literal["riccati", "last_gain", "none"]
-COEFFICIENTS = ("absolute_output", "printed")
 
 
 class OutputRegulator:

@@ -1,0 +1,182 @@
+"""Experts of many floating manipulators at once, for vector environments."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from impact_envs.agent_vectors import REAL
+from impact_envs.compiled import announce, bind
+from impact_envs.errors import InputError
+from impact_envs.floating_manipulator.observation import make_layout
+from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
+from planners.floating_manipulator.correction import get_correction_size, get_feature_size
+from planners.floating_manipulator.options import Options, get_options, make_record
+from planners.floating_manipulator.world_loop import ACT, CONTROL, CORRECT, FEATURES, FOLLOW, START, run_experts
+from planners.floating_manipulator.world_memory import (
+    COUNTERS,
+    make_expert_memory,
+    make_expert_scratch,
+    make_expert_table,
+)
+
+NONE = np.empty((0, 0))  # stands for an array that a part of the control period does not use
+
+
+class FloatingManipulatorExpertBatch:
+    """The expert of N worlds; world k acts as FloatingManipulatorExpert does, and starts anew with time 0.
+
+    One of zeros alone is no observation. ``act`` is ``observe`` and ``control``; corrections come between them.
+
+    Args:
+        scenario: its true physics are not looked at.
+        count: N.
+        variant: of `options.VARIANTS`; the expert itself without.
+        options: instead of the variant's.
+        threads: that share the worlds.
+
+    Attributes:
+        count: N.
+        correction_size, feature_size: of what `correct` takes and `features` returns, per world.
+        memory: of all worlds.
+
+    Raises:
+        InputError: the variant or the form of the coefficients is unknown, or there is no world.
+    """
+
+    def __init__(
+        self,
+        scenario: FloatingManipulatorScenario,
+        count: int,
+        variant: str | None = None,
+        options: Options | None = None,
+        threads: int = 1,
+    ) -> None:
+        if count < 1:
+            raise InputError(f"count = {count}: at least 1 world is needed")
+        announce(run_experts)
+        self.count, self.size = count, make_layout(scenario).size
+        self.correction_size, self.feature_size = get_correction_size(scenario), get_feature_size(scenario)
+        chosen = get_options(variant) if options is None else options
+        table = make_expert_table(scenario.as_believed(), chosen)
+        self.memory = make_expert_memory(table, chosen, count)
+        self._arrays = table, self.memory, make_record(chosen)
+        self._action_size = sum(len(limits) for limits in scenario.largest_commands.values())
+        self._threads = min(threads, count)
+        self._scratch = [make_expert_scratch(table) for _ in range(self._threads)]
+        self._pool: ThreadPoolExecutor | None = None
+        self._bind()
+        self._run(START)
+
+    @property
+    def counts(self) -> dict[str, np.ndarray]:
+        """Return how often what happened since each world's start, name to shape (N,)."""
+        return {name: self.memory.counts[name] for name in COUNTERS}
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """Return every world's joint action; corrections that are awaited count as zero.
+
+        Args:
+            observations: joint ones, as `vector_env` returns them, shape (N, 2 n + 22).
+
+        Returns:
+            In [-1, 1], of the arm, then of the base where it is actuated, shape (N, n) or (N, n + 3).
+
+        Raises:
+            InputError: observations of another shape.
+        """
+        actions = np.empty((self.count, self._action_size))
+        self._run(ACT, joint=self._check(observations), actions=actions)
+        return actions
+
+    def observe(self, observations: np.ndarray) -> np.ndarray:
+        """Read this control step's measurements.
+
+        Args:
+            observations: as for `act`.
+
+        Returns:
+            Which worlds await a correction now, shape (N,) bool.
+
+        Raises:
+            InputError: observations of another shape.
+        """
+        self._run(FOLLOW, joint=self._check(observations))
+        return self.memory.state["is_awaited"].copy()
+
+    def features(self) -> np.ndarray:
+        """Return what a learner may observe of each world, shape (N, 2 n + 27); see `correction.write_features`."""
+        values = np.empty((self.count, self.feature_size))
+        self._run(FEATURES, values=values)
+        return values
+
+    def correct(self, worlds: np.ndarray, corrections: np.ndarray) -> None:
+        """Set the corrections of some worlds until their next ones are awaited, as FloatingManipulatorExpert does.
+
+        Args:
+            worlds: that await one: their numbers, shape (m,), or a mask, shape (N,).
+            corrections: clipped to [-1, 1], shape (m, n + 2); zero changes nothing, bit for bit.
+
+        Raises:
+            InputError: other shapes, a number that is not finite, or a world that awaits no correction.
+        """
+        chosen, values = np.arange(self.count)[np.asarray(worlds)], np.asarray(corrections, dtype=float)
+        if values.shape != (len(chosen), self.correction_size) or not np.isfinite(values).all():
+            raise InputError(
+                f"corrections of shape {values.shape}: finite numbers of shape "
+                f"({len(chosen)}, {self.correction_size}) are needed"
+            )
+        idle = chosen[~self.memory.state["is_awaited"][chosen]]
+        if len(idle):
+            raise InputError(f"world {idle[0]} awaits no correction now; see what observe returned")
+        spread = np.full((self.count, self.correction_size), np.nan)
+        spread[chosen] = np.clip(values, -1.0, 1.0)
+        self._run(CORRECT, values=spread)
+
+    def control(self) -> np.ndarray:
+        """Return every world's joint action in [-1, 1], as `act` does."""
+        actions = np.empty((self.count, self._action_size))
+        self._run(CONTROL, actions=actions)
+        return actions
+
+    def close(self) -> None:
+        """Let the threads go; the next step starts new ones."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_call"} | {"_pool": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._bind()
+
+    def _bind(self) -> None:
+        self._call = bind(run_experts, *self._arrays, self._scratch[0], NONE, NONE, NONE, START, 0, 0)  # of no world
+
+    def _run(self, phase: int, joint: np.ndarray = NONE, values: np.ndarray = NONE, actions: np.ndarray = NONE) -> None:
+        """Do one part of the control period of all worlds."""
+
+        def share(thread: int) -> None:
+            first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
+            self._call(*self._arrays, self._scratch[thread], joint, values, actions, phase, first, end)
+
+        if self._threads == 1:
+            share(0)
+        else:
+            self._pool = self._pool or ThreadPoolExecutor(self._threads)
+            list(self._pool.map(share, range(self._threads)))
+
+    def _check(self, observations: np.ndarray) -> np.ndarray:
+        """Return observations as float64, or raise InputError."""
+        needed = f"real numbers of shape ({self.count}, {self.size}) are needed"
+        try:
+            joint = np.asarray(observations)
+        except (ValueError, TypeError):  # of different lengths
+            raise InputError(f"observations: {needed}") from None
+        if joint.shape != (self.count, self.size) or joint.dtype.kind not in REAL:
+            raise InputError(f"observations have shape {joint.shape}, {joint.dtype}; {needed}")
+        return np.ascontiguousarray(joint, dtype=np.float64)
