@@ -34,7 +34,7 @@ class Workspace(NamedTuple):
 
     Attributes:
         reflectors: of the equalities, below the diagonal, and R above it, shape (n, n).
-        diagonal, scale: of R, and 2 / |v|^2 of each reflector v, shape (n,).
+        pivots, scale: of R, and 2 / |v|^2 of each reflector v, shape (1 + n,).
         basis: x_0 and Z, shape (n, 1 + n).
         image: H times the basis, shape (n, 1 + n).
         rows: of the inequalities in z: value at x_0, then coefficients, shape (m, 1 + n).
@@ -42,13 +42,13 @@ class Workspace(NamedTuple):
         J: columns of L^-T, turned with every change of the active rows, as rows, shape (n, n).
         R: triangle of the active rows, shape (n, n).
         z, direction, d, r: shape (1 + n,).
-        active: rows that hold with equality, shape (n,).
-        sign: 1 for those at their lower bound, -1 at their upper, shape (n,).
-        u: their multipliers, shape (n,).
+        active: rows that hold with equality, shape (1 + n,).
+        sign: 1 for those at their lower bound, -1 at their upper, shape (1 + n,).
+        u: their multipliers, shape (1 + n,).
     """
 
     reflectors: np.ndarray
-    diagonal: np.ndarray
+    pivots: np.ndarray
     scale: np.ndarray
     basis: np.ndarray
     image: np.ndarray
@@ -65,13 +65,19 @@ class Workspace(NamedTuple):
     u: np.ndarray
 
 
-def make_workspace(unknowns: int, rows: int) -> Workspace:
-    """Make room for programs of at most so many unknowns and rows, bounds of unknowns included."""
+def make_workspace_type(unknowns: int, rows: int) -> np.dtype:
+    """Return a workspace as a record, for programs of at most so many unknowns and rows, bounds included."""
     n = unknowns
-    square, vector, wide = (n, n), (n,), (n, 1 + n)
-    shapes = (square, vector, vector, wide, wide, (rows, 1 + n), square, square, square, *[(1 + n,)] * 4)
-    active, sign, u = np.zeros(n, np.int64), np.zeros(n), np.zeros(n)
-    return Workspace(*(np.zeros(shape) for shape in shapes), active, sign, u)
+    shapes = {"basis": (n, 1 + n), "image": (n, 1 + n), "rows": (rows, 1 + n)}
+    shapes |= dict.fromkeys(("reflectors", "factor", "J", "R"), (n, n))
+    kinds = {"active": np.int64}
+    return np.dtype([(name, kinds.get(name, float), shapes.get(name, (1 + n,))) for name in Workspace._fields])
+
+
+def make_workspace(unknowns: int, rows: int) -> Workspace:
+    """Make room for programs of at most so many unknowns and rows, bounds included."""
+    record = np.zeros(1, make_workspace_type(unknowns, rows))[0]
+    return Workspace(*(record[name] for name in Workspace._fields))
 
 
 @compiled
@@ -129,7 +135,7 @@ def eliminate(A: np.ndarray, right: np.ndarray, bounds: int, equal: int, work: W
         bounds, equal, work: see `solve_qp`.
     """
     n = A.shape[1]
-    T, diagonal, scale, basis = work.reflectors, work.diagonal, work.scale, work.basis
+    T, pivots, scale, basis = work.reflectors, work.pivots, work.scale, work.basis
     for k in range(n):
         for i in range(equal):
             T[k, i] = A[i, k]
@@ -143,8 +149,8 @@ def eliminate(A: np.ndarray, right: np.ndarray, bounds: int, equal: int, work: W
         if not size > DEPENDENT * DEPENDENT * length:
             return False
         norm = math.sqrt(size)
-        diagonal[j] = -math.copysign(norm, T[j, j])
-        T[j, j] -= diagonal[j]
+        pivots[j] = -math.copysign(norm, T[j, j])
+        T[j, j] -= pivots[j]
         scale[j] = 1.0 / (norm * abs(T[j, j]))
         reflect(T, j, n, scale[j], T, j + 1, equal, work.r)
     columns = 1 + n - equal
@@ -157,7 +163,7 @@ def eliminate(A: np.ndarray, right: np.ndarray, bounds: int, equal: int, work: W
         value = right[bounds + j]
         for i in range(j):
             value -= T[i, j] * basis[i, 0]
-        basis[j, 0] = value / diagonal[j]
+        basis[j, 0] = value / pivots[j]
     for back in range(equal):
         j = equal - 1 - back
         reflect(T, j, n, scale[j], basis, 0, columns, work.r)

@@ -25,7 +25,7 @@ from impact_envs.free_flyer.engine import step_alone
 from impact_envs.free_flyer.step import run_tuples
 from impact_envs.rollout import ZeroPolicy
 from planners import make_expert
-from planners.dual_arm.torque_qp import assemble_ante
+from planners.dual_arm.world_loop import run_experts as run_arms_experts
 from planners.floating_manipulator.world_loop import run_experts as run_manipulators
 from planners.free_flyer.closed_loop.world_loop import run_experts
 
@@ -62,7 +62,7 @@ def compile_manipulators() -> None:
 JOBS: dict[str, tuple[Callable[[], None], tuple[Callable[..., object], ...]]] = {
     "free-flyers' expert": (compile_free_flyers_expert, (run_experts, run_until_due)),
     "vector environment": (compile_vector_environment, (run_tuples,)),
-    "engine and arms": (compile_engine_and_arms, (step_alone, advance_arms, assemble_ante)),
+    "engine and arms": (compile_engine_and_arms, (step_alone, advance_arms, run_arms_experts)),
     "manipulators": (compile_manipulators, (advance_manipulator, run_manipulators)),
 }
 

@@ -8,12 +8,13 @@ from collections.abc import Callable
 import numpy as np
 
 from impact_envs.errors import InputError, choices
-from planners.dual_arm.torque_qp import BOUNDED, CONTACT_ROWS, EQUAL, TorqueQP
+from planners.dual_arm.torque_qp import BOUNDED, TorqueQP
 from planners.errors import Infeasible, SolverFailed
 from planners.goldfarb_idnani import INFEASIBLE, SOLVED, make_workspace, solve_qp
 
 REMEDY = "relax torque limits or friction, or use the slack form"
 COMPILED = "goldfarb_idnani"  # the solver that a compiled control loop has
+EQUAL = 5  # sense of an equality for DAQP
 CLARABEL_TOLERANCE = 1e-11  # absolute, relative and of the constraints
 
 
@@ -44,9 +45,8 @@ def solve_goldfarb_idnani(qp: TorqueQP) -> np.ndarray:
         Infeasible: the program has no solution.
         SolverFailed: the method stopped early.
     """
-    H, f, A, lower, upper, sense = qp
-    x, work = np.zeros(len(f)), make_workspace(len(f), len(sense))
-    status = solve_qp(H, f, A, lower, upper, BOUNDED, int((sense == EQUAL).sum()), work, x)
+    x, work = np.zeros(len(qp.f)), make_workspace(len(qp.f), len(qp.lower))
+    status = solve_qp(*qp, BOUNDED, int((qp.lower == qp.upper).sum()), work, x)
     if status == SOLVED:
         return x
     if status == INFEASIBLE:
@@ -66,7 +66,8 @@ def solve_daqp(qp: TorqueQP) -> np.ndarray:
     """
     import daqp
 
-    H, f, A, lower, upper, sense = qp
+    H, f, A, lower, upper = qp
+    sense = np.where(lower == upper, EQUAL, 0).astype(np.int32)
     x, _, flag, _ = daqp.solve(H, f, A, upper, lower, sense)
     if flag == 1 and math.isfinite(x.sum()):
         return x
@@ -88,9 +89,9 @@ def solve_clarabel(qp: TorqueQP) -> np.ndarray:
     import clarabel
     from scipy import sparse
 
-    H, f, A, lower, upper, sense = qp
+    H, f, A, lower, upper = qp
     rows = np.vstack([np.eye(BOUNDED, len(f)), A])
-    equal = sense == EQUAL
+    equal = lower == upper
     above, below = ~equal & np.isfinite(upper), ~equal & np.isfinite(lower)
     G = np.vstack([rows[equal], rows[above], -rows[below]])
     h = np.concatenate([upper[equal], upper[above], -lower[below]])
@@ -111,24 +112,3 @@ def solve_clarabel(qp: TorqueQP) -> np.ndarray:
 
 
 SOLVERS = {COMPILED: solve_goldfarb_idnani, "daqp": solve_daqp, "clarabel": solve_clarabel}
-
-
-def relax_contacts(qp: TorqueQP, weight: float) -> TorqueQP:
-    """Return the slack form of a post-impact program, which always has a solution.
-
-    The rows that forbid acceleration between pads and box move into the cost: weight |C x - d|^2.
-
-    Args:
-        qp: of size GRASP.
-        weight: of the squared accelerations between pads and box.
-
-    Returns:
-        A new program.
-    """
-    rows = np.array(CONTACT_ROWS)
-    C, d = qp.A[rows], qp.upper[6 + rows]
-    lower, upper, sense = qp.lower.copy(), qp.upper.copy(), qp.sense.copy()
-    lower[6 + rows], upper[6 + rows], sense[6 + rows] = -np.inf, np.inf, 0
-    H = qp.H + 2.0 * weight * C.T @ C
-    f = qp.f - 2.0 * weight * C.T @ d
-    return TorqueQP(H, f, qp.A, lower, upper, sense)

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
 from impact_envs.agent_vectors import read_vectors
+from impact_envs.compiled import announce, bind
 from impact_envs.dual_arm.observation import ARM, make_layout
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.rollout import Diagnostics
 from planners.correction import check_correction
+from planners.dual_arm.dense_qp import COMPILED
+from planners.dual_arm.expert_memory import CORRECTION_SIZE, FEATURE_SIZE, make_expert_memory, make_rules
 from planners.dual_arm.impact_prediction import load_impact_map
 from planners.dual_arm.options import Options, get_options
-from planners.dual_arm.readings import Readings
 from planners.dual_arm.reference_spreading import ReferenceSpreading
+from planners.dual_arm.world_loop import CONTROL, CORRECT, FEATURES, OBSERVE, run_experts
+from planners.reading_gate import COUNTS
 
 
 class DualArmExpert:
@@ -39,25 +44,23 @@ class DualArmExpert:
         InputError: unknown variant or solver, or options that do not fit the scenario.
     """
 
-    correction_size = 2
-    feature_size = 22
+    correction_size = CORRECTION_SIZE
+    feature_size = FEATURE_SIZE
 
     def __init__(self, scenario: DualArmScenario, variant: str | None = None, options: Options | None = None) -> None:
         self.name = variant or "expert"
         self.options = options = get_options(variant) if options is None else options
-        self._scenario = scenario.as_believed()
-        impact_map = load_impact_map(self._scenario, options) if options.controller.impact_map else None
-        self.controller = ReferenceSpreading(self._scenario, impact_map, options.controller, options.solver)
-        speed = math.hypot(*options.controller.impact_velocity)
-        self._readings = Readings(self._scenario, speed, options.readings)
+        self._scenario = believed = scenario.as_believed()
+        impact_map = load_impact_map(believed, options) if options.controller.impact_map else None
+        self.controller = ReferenceSpreading(believed, impact_map, options.controller, options.solver)
+        self._rules = make_rules(believed, options)
+        self._fresh, self._memory = (make_expert_memory(believed, options, 1) for _ in range(2))
         self._sizes = dict.fromkeys(scenario.arms, make_layout().size)
+        self._joint, self._actions = np.zeros((1, 2 * ARM.size)), np.zeros((1, 6))
+        self._features = np.zeros((1, FEATURE_SIZE))
         self._limits = np.array([scenario.links.torque_limits] * 2, dtype=float)
-        self._target = self._scenario.target.array
-        self._first, self._every = (
-            max(1, round(seconds / self._scenario.control_period))
-            for seconds in (options.correction.first, options.correction.period)
-        )
-        self._warm_up()
+        announce(run_experts)
+        self._bind()
         self.reset(0)
 
     def reset(self, seed: int) -> None:
@@ -67,13 +70,9 @@ class DualArmExpert:
             seed: unused, the expert is deterministic.
         """
         self.controller.reset()
-        self._readings.reset()
-        self._diagnostics = Diagnostics()
-        self._rows = np.zeros((2, ARM.size))
+        self._memory[:] = self._fresh
+        self._solve_seconds = list[float]()
         self._seconds = 0.0
-        self._awaiting = False
-        self._answer, self._applied = np.zeros(2), np.zeros(2)
-        self._lag = np.zeros(3)
 
     def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return each arm's action, joint torques over their limits in [-1, 1], shape (3,); call once per period."""
@@ -82,8 +81,9 @@ class DualArmExpert:
 
     def diagnostics(self) -> Diagnostics:
         """Return computing times and fallbacks since reset."""
-        self._diagnostics.fallbacks = self.controller.fallbacks + self._readings.counts
-        return self._diagnostics
+        counts = zip(COUNTS, self._memory[0]["counts"].tolist(), strict=True)
+        judged = Counter({name: count for name, count in counts if count})
+        return Diagnostics(self._solve_seconds, self.controller.fallbacks + judged)
 
     def observe(self, observations: Mapping[str, np.ndarray]) -> None:
         """Read this period's measurements, and decide whether a correction is awaited.
@@ -98,21 +98,15 @@ class DualArmExpert:
         """
         begin = time.perf_counter()
         observed = read_vectors(observations, self._sizes, "observation", finite=False)
-        self._rows = np.array([observed[name][: ARM.size] for name in self._scenario.arms])
-        self._readings.check(self._rows, self.controller.solution)
-        ticks = self.controller.ticks_of_grasp
-        self._awaiting = ticks >= self._first and (ticks - self._first) % self._every == 0
-        if self._awaiting:
-            self._answer = np.zeros(2)
-        if ticks > 0:
-            share = 1.0 - math.exp(-self._scenario.control_period / self.options.correction.lag_time)
-            self._lag += share * (self.controller.reference_error() - self._lag)
+        for i, name in enumerate(self._scenario.arms):
+            self._joint[0, ARM.size * i : ARM.size * (i + 1)] = observed[name][: ARM.size]
+        self._run(OBSERVE, self._actions)
         self._seconds = time.perf_counter() - begin
 
     @property
     def awaiting_correction(self) -> bool:
         """Return whether a correction is due in this control step, and not given yet."""
-        return self._awaiting
+        return bool(self._memory[0]["awaiting"])
 
     def correct(self, correction: np.ndarray) -> None:
         """Set the correction of grip and load, which both approach at a limited rate.
@@ -125,8 +119,8 @@ class DualArmExpert:
         Raises:
             InputError: wrong shape, or no correction is awaited.
         """
-        self._answer = check_correction(correction, self.correction_size, self._awaiting)
-        self._awaiting = False
+        self._memory[0]["answer"] = check_correction(correction, self.correction_size, self.awaiting_correction)
+        self._memory[0]["awaiting"] = 0
 
     def features(self) -> np.ndarray:
         """Return what a learner may see of the grasp.
@@ -137,43 +131,34 @@ class DualArmExpert:
             estimated pose of the box (3) [m, rad], its twist (3), its lag behind the reference (3) and the smoothed lag
             (3) [m/s, rad/s]; the corrections in effect (2). Zeros before full contact.
         """
-        controller = self.controller
-        if controller.phase != "post":
-            return np.zeros(self.feature_size)
-        switches = controller.switches
-        return np.concatenate(
-            [
-                [controller.ticks_of_grasp * self._scenario.control_period],
-                [switches["post"] - switches.get("interim", switches["post"])],
-                controller.heights,
-                self._rows[:, ARM["forces"]].ravel(),
-                self._target - controller.box[:3],
-                controller.box[3:],
-                controller.reference_error(),
-                self._lag,
-                self._applied,
-            ]
-        )
+        self._run(FEATURES, self._features)
+        return self._features[0].copy()
 
     def control(self) -> dict[str, np.ndarray]:
         """Return each arm's action in [-1, 1], shape (3,): joint torques over their limits."""
         begin = time.perf_counter()
-        self._awaiting = False
-        if (self._applied != self._answer).any():
-            most = self.options.correction.rate * self._scenario.control_period
-            self._applied = self._applied + np.clip(self._answer - self._applied, -most, most)
-            grip, weight = np.exp(self.options.correction.log_range * self._applied)
-            self.controller.scale_load(float(grip), float(weight))
-        q, v, forces = (self._rows[:, ARM[field]].copy() for field in ("angles", "rates", "forces"))
-        actions = self.controller.control(q, v, forces.ravel()) / self._limits
-        self._diagnostics.solve_seconds.append(self._seconds + time.perf_counter() - begin)
+        if self.controller.solver == COMPILED:
+            self._run(CONTROL, self._actions)
+        else:
+            self._run(CORRECT, self._actions)
+            self._actions[0] = (self.controller.compute_torques() / self._limits).ravel()
+        actions = self._actions.reshape(2, 3).copy()
+        self._solve_seconds.append(self._seconds + time.perf_counter() - begin)
         return dict(zip(self._scenario.arms, actions, strict=True))
 
-    def _warm_up(self) -> None:
-        """Pass through all phases once, so that no control step waits for the compiler."""
-        q = self._scenario.joint_angles(self._scenario.contact_poses(self._scenario.box.start.array))
-        v, force = np.zeros((2, 3)), self.controller.options.contact_force + 1.0
-        self.controller.control(q, v, np.zeros(4))
-        for _ in range(round(self.controller.options.dwell / self._scenario.control_period) + 1):
-            self.controller.control(q, v, np.full(4, force))
-        self.controller.reference_error()
+    def _run(self, part: int, output: np.ndarray) -> None:
+        self._call(*self._arrays, output, part, 0, 0, 1)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in ("_call", "_arrays")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._bind()
+
+    def _bind(self) -> None:
+        """Collect what every call takes, and look the compiled function up: no control step waits for the compiler."""
+        c, found = self.controller, self.controller.impact_map
+        fixed = c.law, self._rules, found.heights, found.weights
+        self._arrays = *fixed, c.memory, self._memory, c.scratch, self._joint
+        self._call: Callable[..., Any] = bind(run_experts, *self._arrays, self._actions, OBSERVE, 0, 0, 0)

@@ -6,12 +6,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from planners.dual_arm.reference import PostField, compute_post_reference
 from planners.dual_arm.terms import Terms, compute_terms, estimate_box
 from planners.dual_arm.torque_qp import (
+    BOUNDED,
     BOX,
+    EQUALITIES_GRASP,
     NORMAL,
     QDD,
     TANGENTIAL,
@@ -19,6 +21,8 @@ from planners.dual_arm.torque_qp import (
     clear_cost,
     write_arm_motion,
 )
+
+RELAXED = 9  # rows of A that are equalities in the slack form too: the motion of arms and box
 
 
 class PostGains(NamedTuple):
@@ -45,7 +49,7 @@ class PostGains(NamedTuple):
     half_height: float
 
 
-@njit(cache=True)
+@compiled
 def build_post(qp: TorqueQP, terms: Terms, field: PostField, gains: PostGains, box: np.ndarray) -> None:
     """Build the post-impact program: move the box along its velocity field, held by four rigid contacts.
 
@@ -78,7 +82,7 @@ def build_post(qp: TorqueQP, terms: Terms, field: PostField, gains: PostGains, b
         write_contact(qp, terms, gains, box, k)
 
 
-@njit(cache=True)
+@compiled
 def write_contact(qp: TorqueQP, terms: Terms, gains: PostGains, box: np.ndarray, k: int) -> None:
     """Write contact k: its forces in the motion of arm and box, no relative acceleration, its friction cone.
 
@@ -123,7 +127,7 @@ def write_contact(qp: TorqueQP, terms: Terms, gains: PostGains, box: np.ndarray,
         qp.A[15 + 2 * k + row, TANGENTIAL + k] = 1.0 - 2.0 * row
 
 
-@njit(cache=True)
+@compiled
 def assemble_post(
     qp: TorqueQP,
     terms: Terms,
@@ -145,3 +149,25 @@ def assemble_post(
     compute_terms(arms, q, v, terms)
     estimate_box(terms, box)
     build_post(qp, terms, field, gains, box)
+
+
+@compiled
+def relax_contacts(qp: TorqueQP, weight: float) -> None:
+    """Turn a post-impact program into its slack form, which always has a solution.
+
+    The rows that forbid acceleration between pads and box move into the cost: weight |C x - d|^2.
+
+    Args:
+        qp: of size GRASP, changed in place.
+        weight: of the squared accelerations between pads and box.
+    """
+    n = len(qp.f)
+    for row in range(RELAXED, EQUALITIES_GRASP):
+        wanted = qp.upper[BOUNDED + row]
+        for a in range(n):
+            pull = 2.0 * weight * qp.A[row, a]
+            if pull != 0.0:
+                qp.f[a] -= pull * wanted
+                for b in range(n):
+                    qp.H[a, b] += pull * qp.A[row, b]
+        qp.lower[BOUNDED + row], qp.upper[BOUNDED + row] = -math.inf, math.inf

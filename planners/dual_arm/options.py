@@ -152,7 +152,7 @@ class Options(NamedTuple):
         controller, prediction, correction, readings: of its parts.
     """
 
-    solver: str = "daqp"
+    solver: str = "goldfarb_idnani"
     controller: ControllerOptions = ControllerOptions()
     prediction: PredictionOptions = PredictionOptions()
     correction: CorrectionOptions = CorrectionOptions()

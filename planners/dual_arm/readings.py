@@ -1,21 +1,26 @@
-"""What the dual arm's expert believes of its readings; the last torques' predicted motion stands in for the others."""
+"""What the dual arm's expert believes of its readings; the last torques' predicted motion stands in for the others.
+
+Each arm's angles and rates are judged by a `reading_gate`, in whose reach the torque limits push joint i by
+tau_i / (I_i + m_i c_i^2), and an impact changes its rate by at most 2 v / l_i, v the pads' speed at the planned impact
+and l_i the length of link i. Normal forces at a pad's corners are believed from 0 to `force`, and above 0 before the
+first contact only where the pad is near the believed box; after `patience` in any case. What replaces them are the last
+ones that were believed.
+"""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from impact_envs.dual_arm.arm import compute_pose
 from impact_envs.dual_arm.observation import ARM
 from impact_envs.dual_arm.schema import DualArmScenario
-from planners.dual_arm.options import EXPERT, ReadingOptions
+from planners.dual_arm.options import ReadingOptions
 from planners.dual_arm.torque_qp import QDD
 from planners.reading_gate import (
     BELIEVED,
-    COUNTS,
     MISSING,
     REJECTED,
     Q,
@@ -35,55 +40,42 @@ ANGLES, RATES, FORCES = (ARM[name].start for name in ("angles", "rates", "forces
 X, Y, COS, SIN, ALONG, ACROSS, FORCE, PERIOD, PATIENCE = range(9)
 
 
-class Readings:
-    """Replace readings of the arms that are missing, or that no motion explains.
+def make_surroundings(scenario: DualArmScenario, options: ReadingOptions) -> np.ndarray:
+    """Return what forces are judged by, elements X to PATIENCE, shape (9,).
 
-    Each arm's angles and rates are judged by a `reading_gate`, in whose reach the torque limits push joint i by
-    tau_i / (I_i + m_i c_i^2), and an impact changes its rate by at most 2 v / l_i, v the pads' speed at the planned
-    impact and l_i the length of link i. Normal forces at a pad's corners are believed from 0 to `force`, and above 0
-    before the first contact only where the pad is near the believed box; after `patience` in any case. What replaces
-    them are the last ones that were believed.
+    Args:
+        scenario: as believed.
+        options: margins, patience.
+    """
+    box, near = scenario.box, options.near
+    x, y, heading = box.start.array.tolist()
+    across = box.half_height + scenario.links.pad_half_height + near
+    place = (x, y, math.cos(heading), math.sin(heading), box.half_width + near, across)
+    return np.array([*place, options.force, scenario.control_period, options.patience])
+
+
+def make_gates(scenario: DualArmScenario, impact_speed: float, options: ReadingOptions) -> np.ndarray:
+    """Return the gates of both arms, which expect them anywhere, shape (2, ROWS, 3).
 
     Args:
         scenario: as believed.
         impact_speed: of the pads at the planned impact [m/s].
-        options: margins, patience.
+        options: margins.
     """
-
-    def __init__(
-        self, scenario: DualArmScenario, impact_speed: float, options: ReadingOptions = EXPERT.readings
-    ) -> None:
-        box, near = scenario.box, options.near
-        x, y, heading = box.start.array.tolist()
-        across = box.half_height + scenario.links.pad_half_height + near
-        place = (x, y, math.cos(heading), math.sin(heading), box.half_width + near, across)
-        self._near = np.array([*place, options.force, scenario.control_period, options.patience])
-        self._numbers, self._gates = scenario.arm_numbers(), _make_gates(scenario, impact_speed, options)
-        self.reset()
-
-    def reset(self) -> None:
-        """Expect the arms anywhere, and no contact."""
-        for gate in self._gates:
-            open_gate(gate, np.zeros(3), known=False)
-        self._forces, self._doubted, self._counts = np.zeros((2, 2)), np.zeros(2), np.zeros(len(COUNTS), np.int64)
-
-    @property
-    def counts(self) -> Counter[str]:
-        """Return how often readings were missing, rejected, taken up."""
-        return Counter({name: count for name, count in zip(COUNTS, self._counts.tolist(), strict=True) if count})
-
-    def check(self, rows: np.ndarray, solution: np.ndarray) -> None:
-        """Replace in place what is not believed of a reading.
-
-        Args:
-            rows: of both arms as read, shape (2, ARM.size).
-            solution: of the program that gave the last torques, with the accelerations that they should cause.
-        """
-        known = self._forces, self._doubted, self._counts
-        judge_rows(self._gates, rows, solution, self._numbers, *known, self._near)
+    links = scenario.links
+    pairs = zip(links.torque_limits, links.inertias, links.masses, links.centers, strict=True)
+    gate = make_gate(
+        place=np.full(3, options.angle),
+        rate=np.full(3, options.rate),
+        push=np.array([torque / (inertia + mass * center**2) for torque, inertia, mass, center in pairs]),
+        jump=2.0 * impact_speed / np.array(links.lengths),
+        turns=np.zeros(3),
+    )
+    open_gate(gate, np.zeros(3), known=False)
+    return np.array([gate, gate])
 
 
-@njit(cache=True)
+@compiled
 def judge_rows(
     gates: np.ndarray,
     rows: np.ndarray,
@@ -94,11 +86,11 @@ def judge_rows(
     counts: np.ndarray,
     near: np.ndarray,
 ) -> None:
-    """Judge the readings of both arms, see `Readings`.
+    """Judge the readings of both arms, and replace what is not believed.
 
     Args:
         gates: shape (2, ROWS, 3).
-        rows: as read; what is not believed is replaced, shape (2, ARM.size).
+        rows: as read, changed, shape (2, ARM.size).
         solution: joint accelerations begin at QDD.
         numbers: rows of `arm.make_arm`, shape (2, 14).
         forces: believed last, shape (2, 2) [N].
@@ -134,24 +126,10 @@ def judge_rows(
         forces[i, 0], forces[i, 1] = rows[i, FORCES], rows[i, FORCES + 1]
 
 
-@njit(cache=True)
+@compiled
 def may_touch(arm: np.ndarray, gate: np.ndarray, near: np.ndarray) -> bool:
     """Return whether an arm's pad is near the believed box."""
     x, y, _ = compute_pose(arm, gate[Q, 0], gate[Q, 1], gate[Q, 2])
     along = near[COS] * (x - near[X]) + near[SIN] * (y - near[Y])
     across = near[COS] * (y - near[Y]) - near[SIN] * (x - near[X])
     return abs(along) <= near[ALONG] and abs(across) <= near[ACROSS]
-
-
-def _make_gates(scenario: DualArmScenario, impact_speed: float, options: ReadingOptions) -> np.ndarray:
-    """Return the gates of both arms, shape (2, ROWS, 3)."""
-    links = scenario.links
-    pairs = zip(links.torque_limits, links.inertias, links.masses, links.centers, strict=True)
-    gate = make_gate(
-        place=np.full(3, options.angle),
-        rate=np.full(3, options.rate),
-        push=np.array([torque / (inertia + mass * center**2) for torque, inertia, mass, center in pairs]),
-        jump=2.0 * impact_speed / np.array(links.lengths),
-        turns=np.zeros(3),
-    )
-    return np.array([gate, gate])

@@ -9,7 +9,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from impact_envs.compiled import compiled
 
 NEAR = 1e-9  # below this a distance [m] or a velocity [m/s] has no direction
 
@@ -55,7 +56,7 @@ class PostField(NamedTuple):
     blend: bool
 
 
-@njit(cache=True)
+@compiled
 def compute_smoothstep(r: float, r_min: float, r_max: float) -> tuple[float, float]:
     """Return S_1 = 3 w^2 - 2 w^3 with w = (r - r_min) / (r_max - r_min), held at 0 and 1, and its derivative.
 
@@ -69,7 +70,7 @@ def compute_smoothstep(r: float, r_min: float, r_max: float) -> tuple[float, flo
     return w * w * (3.0 - 2.0 * w), 6.0 * w * (1.0 - w) / (r_max - r_min)
 
 
-@njit(cache=True)
+@compiled
 def compute_ante_velocity(field: AnteField, i: int, x: float, y: float) -> tuple[float, float]:
     """Return the extended velocity reference of pad i at a position.
 
@@ -90,7 +91,7 @@ def compute_ante_velocity(field: AnteField, i: int, x: float, y: float) -> tuple
     return vx, vy
 
 
-@njit(cache=True)
+@compiled
 def compute_ante_acceleration(field: AnteField, i: int, x: float, y: float) -> tuple[float, float]:
     """Return the acceleration of a pad that follows the velocity reference: (d v / d p) v.
 
@@ -101,7 +102,7 @@ def compute_ante_acceleration(field: AnteField, i: int, x: float, y: float) -> t
     return ax, ay
 
 
-@njit(cache=True)
+@compiled
 def _differentiate_ante(
     field: AnteField, i: int, x: float, y: float, dx: float, dy: float
 ) -> tuple[float, float, float, float]:
@@ -136,7 +137,7 @@ def _differentiate_ante(
     )
 
 
-@njit(cache=True)
+@compiled
 def compute_ante_rate(field: AnteField, i: int, heading: float) -> tuple[float, float]:
     """Return angular velocity and acceleration references: kappa (theta_d - theta), wrapped, and its derivative.
 
@@ -148,7 +149,7 @@ def compute_ante_rate(field: AnteField, i: int, heading: float) -> tuple[float, 
     return rate, -field.kappa_theta * rate
 
 
-@njit(cache=True)
+@compiled
 def compute_post_reference(
     field: PostField, x: float, y: float, heading: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -215,23 +216,33 @@ def make_impact_map(heights: np.ndarray, twists: np.ndarray, rho: float) -> Impa
     """
     distances = np.linalg.norm(heights[:, None] - heights[None], axis=2)
     weights = np.linalg.solve(np.exp(-((rho * distances) ** 2)), twists).T
-    return ImpactMap(heights, weights, rho)
+    return ImpactMap(np.ascontiguousarray(heights), np.ascontiguousarray(weights), rho)
 
 
-def predict_twist(impact_map: ImpactMap, heights: np.ndarray) -> np.ndarray:
-    """Return the predicted velocity of the box after an impact.
+@compiled
+def predict_twist(impact_map: ImpactMap, heights: np.ndarray, twist: np.ndarray) -> None:
+    """Write the predicted velocity of the box after an impact.
 
     Heights are clipped to the simulated ones: outside, the basis functions fall to zero.
 
     Args:
         impact_map: the interpolation.
         heights: y of both pads in the box frame at the impact, shape (2,) [m].
-
-    Returns:
-        Shape (3,) [m/s, rad/s].
+        twist: written, shape (3,) [m/s, rad/s].
 
     Source: van Steen et al., Eq. A.2.
     """
-    inside = np.clip(heights, impact_map.heights.min(axis=0), impact_map.heights.max(axis=0))
-    distances = np.linalg.norm(impact_map.heights - inside, axis=1)
-    return impact_map.weights @ np.exp(-((impact_map.rho * distances) ** 2))
+    first, second = heights[0], heights[1]
+    low_1, low_2 = impact_map.heights[0, 0], impact_map.heights[0, 1]
+    high_1, high_2 = low_1, low_2
+    count = len(impact_map.heights)
+    for i in range(count):
+        low_1, high_1 = min(low_1, impact_map.heights[i, 0]), max(high_1, impact_map.heights[i, 0])
+        low_2, high_2 = min(low_2, impact_map.heights[i, 1]), max(high_2, impact_map.heights[i, 1])
+    first, second = min(max(first, low_1), high_1), min(max(second, low_2), high_2)
+    twist[0] = twist[1] = twist[2] = 0.0
+    for i in range(count):
+        away = impact_map.rho * math.hypot(impact_map.heights[i, 0] - first, impact_map.heights[i, 1] - second)
+        near = math.exp(-(away**2))
+        for r in range(3):
+            twist[r] += impact_map.weights[r, i] * near

@@ -2,93 +2,42 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import fields
-from typing import Literal
+from typing import Any, cast
 
 import numpy as np
 
+from impact_envs.compiled import announce, bind
 from impact_envs.dual_arm.schema import DualArmScenario
-from impact_envs.errors import InputError
-from planners.dual_arm.dense_qp import get_solver, relax_contacts
-from planners.dual_arm.grasp_qp import PostGains, assemble_post
+from planners.dual_arm.control_memory import (
+    NEVER,
+    PHASES,
+    POST,
+    make_ante_field,
+    make_control,
+    make_law,
+    make_scratch,
+    view_program,
+)
+from planners.dual_arm.dense_qp import COMPILED, get_solver
+from planners.dual_arm.grasp_qp import relax_contacts
 from planners.dual_arm.options import EXPERT, ControllerOptions
-from planners.dual_arm.reference import (
-    AnteField,
-    ImpactMap,
-    PostField,
-    compute_post_reference,
-    compute_smoothstep,
-    predict_twist,
+from planners.dual_arm.phase_machine import (
+    BUILD,
+    GRASP_PROGRAM,
+    HOLD,
+    NOTHING,
+    TAKE,
+    WHOLE,
+    run_tick,
 )
-from planners.dual_arm.terms import compute_terms, estimate_box, make_terms
-from planners.dual_arm.torque_qp import (
-    FREE,
-    GRASP,
-    QDD,
-    AnteGains,
-    InterimGains,
-    TorqueQP,
-    assemble_ante,
-    assemble_interim,
-    make_torque_qp,
-)
+from planners.dual_arm.reference import ImpactMap, PostField, compute_post_reference
+from planners.dual_arm.torque_qp import TorqueQP
 from planners.errors import PlanningError
-from planners.measurement import is_measurement
 
-FADED = 20.0  # time constants after which e^-20 = 2e-9 is left of a step
-Phase = Literal["ante", "interim", "post"]
-
-
-def make_gains(scenario: DualArmScenario, options: ControllerOptions) -> tuple[AnteGains, InterimGains, PostGains]:
-    """Return gains and weights of the three programs, and what they need of the believed box and pads."""
-    chosen = {field.name: getattr(options, field.name) for field in fields(options)}
-    ante = AnteGains(*(chosen[name] for name in AnteGains._fields))
-    interim = InterimGains(*(chosen[name] for name in InterimGains._fields))
-    post = PostGains(
-        **{name: chosen[name] for name in PostGains._fields if name in chosen},
-        friction=scenario.believed.friction,
-        mass=scenario.box.mass,
-        inertia=scenario.box.inertia,
-        gravity=scenario.gravity,
-        half_height=scenario.links.pad_half_height,
-    )
-    return ante if options.synchronisation else ante._replace(w_sync=0.0), interim, post
-
-
-def make_ante_field(scenario: DualArmScenario, options: ControllerOptions) -> AnteField:
-    """Make the ante-impact reference towards the middles of the believed box's faces.
-
-    Args:
-        scenario: as believed.
-        options: of the field.
-
-    Raises:
-        InputError: the radii do not enclose the impact points.
-    """
-    box = scenario.box.start.array
-    poses = scenario.contact_poses(box)
-    r_min, r_max = options.r_min, options.r_max
-    if not scenario.box.half_width < r_min < r_max:
-        raise InputError(
-            f"expert.controller.r_min = {r_min:g} and r_max = {r_max:g}: "
-            f"half width of the box {scenario.box.half_width:g} < r_min < r_max is needed"
-        )
-    c, d = math.cos(box[2]), math.sin(box[2])
-    along, across = options.impact_velocity
-    velocities = [(c * sign * along - d * across, d * sign * along + c * across) for sign in (1.0, -1.0)]
-    return AnteField(
-        points=poses[:, :2].copy(),
-        velocities=np.array(velocities),
-        headings=poses[:, 2].copy(),
-        box=box,
-        alpha=options.alpha,
-        r_min=r_min,
-        r_max=r_max,
-        kappa_theta=options.kappa_theta,
-    )
+NO_MAP = ImpactMap(np.zeros((1, 2)), np.zeros((3, 1)), 0.0)
 
 
 class ReferenceSpreading:
@@ -103,14 +52,9 @@ class ReferenceSpreading:
         solver: of the quadratic programs, see `dense_qp.get_solver`.
 
     Attributes:
-        phase: "ante", "interim" or "post".
-        solution: of the program that gave the last torques; zeros where they are held.
-        fallbacks: how often the slack form or the last torques were used.
-        switches: phase to the time it began [s].
-        qp: the quadratic program solved last, for inspection.
-        field, post_field: references before and after the impact; the second is None until full contact.
-        box: estimated state of the box after the impact, shape (6,) [m, rad, m/s, rad/s].
-        predicted: twist of the box just after the impact, shape (3,) [m/s, rad/s].
+        field: the reference before the impact.
+        law, memory, scratch: what the compiled functions read and write, see `control_memory`, shape (1,).
+        solver: as given.
 
     Raises:
         InputError: unknown solver, or no impact map where one is needed.
@@ -123,64 +67,21 @@ class ReferenceSpreading:
         scenario: DualArmScenario,
         impact_map: ImpactMap | None,
         options: ControllerOptions = EXPERT.controller,
-        solver: str = "daqp",
+        solver: str = COMPILED,
     ) -> None:
-        if impact_map is None and options.impact_map:
-            raise InputError("expert.controller.impact_map = True needs an impact map, none is given")
-        self.options, self._impact_map = options, impact_map
-        self._tick = scenario.control_period
-        self._limits = np.array([scenario.links.torque_limits] * 2, dtype=float)
-        self._arms = scenario.arm_numbers()
-        self._ante_gains, self._interim_gains, self._nominal = make_gains(scenario, options)
-        self.field = make_ante_field(scenario, options)
-        self._target = scenario.target.array
-        self._free, self._grasp = make_torque_qp(FREE, self._limits), make_torque_qp(GRASP, self._limits)
-        self._terms = make_terms()
         self._solve = get_solver(solver)
+        self.options, self.solver = options, solver
+        self.law = make_law(scenario, options, impact_map)
+        self.field = make_ante_field(scenario, options)
+        self.impact_map = impact_map or NO_MAP
+        self.memory, self.scratch = make_control(self.law, 1), make_scratch(self.law, 1)
+        announce(run_tick)
+        self._bind()
         self.reset()
 
     def reset(self) -> None:
         """Forget the last episode."""
-        self.phase: Phase = "ante"
-        self.fallbacks: Counter[str] = Counter()
-        self.switches: dict[str, float] = {"ante": 0.0}
-        self.qp: TorqueQP = self._free
-        self.box, self.predicted = np.zeros(6), np.zeros(3)
-        self._count = self._held = self._switched = 0
-        self._last, self.solution = np.zeros((2, 3)), np.zeros(FREE[0])
-        self._offset = np.zeros((2, 3))
-        self._heights: np.ndarray | None = None
-        self._integrated = np.zeros((2, 3))
-        self.post_field: PostField | None = None
-        self._post_gains = self._nominal
-
-    @property
-    def ticks_of_grasp(self) -> int:
-        """Return the number of ticks controlled since full contact."""
-        return self._count - self._switched if self.phase == "post" else 0
-
-    @property
-    def heights(self) -> np.ndarray:
-        """Return y of both pads in the believed box's frame at the first contact, 0 before, shape (2,) [m]."""
-        return np.zeros(2) if self._heights is None else self._heights
-
-    def scale_load(self, grip: float, weight: float) -> None:
-        """Scale, until reset, the grip and the believed load.
-
-        Args:
-            grip: factor on `ControllerOptions.grip`.
-            weight: factor on the box's believed mass and inertia.
-        """
-        nominal = self._nominal
-        self._post_gains = nominal._replace(
-            grip=grip * nominal.grip, mass=weight * nominal.mass, inertia=weight * nominal.inertia
-        )
-
-    def reference_error(self) -> np.ndarray:
-        """Return the post-impact reference minus the box's estimated velocity; 0 before, shape (3,) [m/s, rad/s]."""
-        if self.post_field is None:
-            return np.zeros(3)
-        return np.array(compute_post_reference(self.post_field, *self.box[:3])[:3]) - self.box[3:]
+        self.memory[:] = make_control(self.law, 1)
 
     def control(self, q: np.ndarray, v: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Compute the torques of one tick.
@@ -192,112 +93,131 @@ class ReferenceSpreading:
         Returns:
             Shape (2, 3) [N m]; the last torques if a measurement is none (`measurement.py`).
         """
-        if not is_measurement((*q.ravel().tolist(), *v.ravel().tolist())):
-            return self._hold_torques()
-        self._update_phase(q, v, forces.tolist())
-        if self.phase == "ante":
-            ramp = self._compute_ramp()
-            assemble_ante(self._free, self._terms, self.field, self._ante_gains, self._arms, q, v, ramp)
-            torques = self._solve_torques(self._free)
-        elif self.phase == "interim":
-            press = self.options.press * self._compute_rise(self.options.press_rise)
-            assemble_interim(
-                *(self._free, self._terms, self.field, self._interim_gains, self._arms, q, v),
-                *(self._integrated, press, self._tick),
-            )
-            torques = self._solve_torques(self._free)
+        memory = self.memory[0]
+        memory["q"], memory["v"], memory["forces"] = q, v, forces
+        return self.compute_torques().copy()
+
+    def compute_torques(self) -> np.ndarray:
+        """Compute the torques of one tick from what `memory` says is measured; return a view of them, shape (2, 3)."""
+        if self.solver == COMPILED:
+            self._call(*self._arrays, WHOLE)
         else:
-            assert self.post_field is not None
-            gains = self._post_gains
-            assemble_post(self._grasp, self._terms, self.post_field, gains, self._arms, q, v, self.box)
-            torques = self._fade_step(self._solve_torques(self._grasp))
-        self._count += 1
-        self._last = torques
-        return torques
+            self._call(*self._arrays, BUILD)
+            self._solve_program()
+            self._call(*self._arrays, TAKE)
+        return cast(np.ndarray, self.memory[0]["torques"])
 
-    def _update_phase(self, q: np.ndarray, v: np.ndarray, forces: list[float]) -> None:
-        """Enter the next phase when contact begins or is full."""
-        if self.phase == "post":
-            return
-        self._held = self._held + 1 if min(forces) > self.options.contact_force else 0
-        if self._heights is None and max(forces) > 0.0:
-            compute_terms(self._arms, q, v, self._terms)
-            self._heights = self._measure_heights()
-            self._first = self._count
-            if self.options.interim_phase:
-                self._enter_phase("interim")
-                self._integrated[:] = self._terms.pose
-        late = self._heights is not None and (self._count - self._first) * self._tick >= self.options.time_out
-        if self._held >= round(self.options.dwell / self._tick) or late:
-            compute_terms(self._arms, q, v, self._terms)
-            self._enter_phase("post")
-            self.post_field = self._make_post_field()
-            self._switched = self._count
+    def scale_load(self, grip: float, weight: float) -> None:
+        """Scale, until reset, the grip and the believed load.
 
-    def _compute_rise(self, rise: float) -> float:
-        """Return a factor that rises from 0 to 1 over a time after the first contact."""
-        return compute_smoothstep((self._count - self._first) * self._tick, 0.0, rise)[0] if rise else 1.0
+        Args:
+            grip: factor on `ControllerOptions.grip`.
+            weight: factor on the box's believed mass and inertia.
+        """
+        for name, factor in (("grip", grip), ("mass", weight), ("inertia", weight)):
+            self.memory[name] = factor * self.law[name]
 
-    def _compute_ramp(self) -> float:
-        """Return the factor of the soft start, from 0 to 1."""
-        rise = self.options.soft_start
-        return compute_smoothstep(self._count * self._tick, 0.0, rise)[0] if rise else 1.0
+    def reference_error(self) -> np.ndarray:
+        """Return the post-impact reference minus the box's estimated velocity; 0 before, shape (3,) [m/s, rad/s]."""
+        if self.post_field is None:
+            return np.zeros(3)
+        return np.array(compute_post_reference(self.post_field, *self.box[:3])[:3]) - self.box[3:]
 
-    def _enter_phase(self, phase: Phase) -> None:
-        self.phase = phase
-        self.switches[phase] = self._count * self._tick
+    @property
+    def phase(self) -> str:
+        """Return "ante", "interim" or "post"."""
+        return PHASES[self.memory[0]["phase"]]
 
-    def _measure_heights(self) -> np.ndarray:
-        """Return y of both pads in the believed box's frame, shape (2,) [m]."""
-        box = self.field.box
-        away = self._terms.pose[:, :2] - box[:2]
-        return away @ np.array([-math.sin(box[2]), math.cos(box[2])])
+    @property
+    def solution(self) -> np.ndarray:
+        """Return torques and accelerations of the last program; zeros where it has none, shape (12,)."""
+        return self.memory[0]["solution"].copy()
 
-    def _make_post_field(self) -> PostField:
-        """Make the reference that starts at the box's estimated pose and predicted velocity."""
-        options = self.options
-        estimate_box(self._terms, self.box)
-        if options.impact_map:
-            assert self._impact_map is not None and self._heights is not None
-            self.predicted = predict_twist(self._impact_map, self._heights)
+    @property
+    def fallbacks(self) -> Counter[str]:
+        """Return how often the slack form or the last torques were used."""
+        counts = {"slack": self.memory[0]["slack"], "last_torque": self.memory[0]["held"]}
+        return Counter({name: int(count) for name, count in counts.items() if count})
+
+    @property
+    def switches(self) -> dict[str, float]:
+        """Return each phase so far and the time at which it began [s]."""
+        memory, tick = self.memory[0], float(self.law[0]["tick"])
+        switches = {"ante": 0.0}
+        if memory["touched"] != NEVER and self.options.interim_phase:
+            switches["interim"] = int(memory["touched"]) * tick
+        if memory["grasped"] != NEVER:
+            switches["post"] = int(memory["grasped"]) * tick
+        return switches
+
+    @property
+    def qp(self) -> TorqueQP:
+        """Return the quadratic program solved last, for inspection; the slack form where that was needed."""
+        return view_program(self.scratch[0]["grasp" if self.memory[0]["phase"] == POST else "free"])
+
+    @property
+    def box(self) -> np.ndarray:
+        """Return the estimated state of the box after the impact, 0 before, shape (6,) [m, rad, m/s, rad/s]."""
+        return self.memory[0]["box"].copy()
+
+    @property
+    def predicted(self) -> np.ndarray:
+        """Return the predicted twist of the box just after the impact, shape (3,) [m/s, rad/s]."""
+        return self.memory[0]["predicted"].copy()
+
+    @property
+    def heights(self) -> np.ndarray:
+        """Return y of both pads in the believed box's frame at the first contact, 0 before, shape (2,) [m]."""
+        return self.memory[0]["heights"].copy()
+
+    @property
+    def ticks_of_grasp(self) -> int:
+        """Return the number of ticks controlled since full contact."""
+        memory = self.memory[0]
+        return int(memory["ticks"] - memory["grasped"]) if memory["phase"] == POST else 0
+
+    @property
+    def post_field(self) -> PostField | None:
+        """Return the reference after the impact, None until full contact."""
+        memory, law = self.memory[0], self.law[0]
+        if memory["phase"] != POST:
+            return None
         return PostField(
-            start=self.box[:3].copy(),
+            start=memory["start"].copy(),
             twist=self.predicted,
-            target=self._target,
-            kappa=options.kappa_post,
-            kappa_theta=options.kappa_theta_post,
-            r_max=options.r_max_post,
-            blend=options.impact_map,
+            target=law["target"],
+            kappa=float(law["kappa_post"]),
+            kappa_theta=float(law["kappa_theta_post"]),
+            r_max=float(law["r_max_post"]),
+            blend=bool(law["impact_map"]),
         )
 
-    def _solve_torques(self, qp: TorqueQP) -> np.ndarray:
-        """Solve a program; if that fails, solve its slack form; if that fails too, hold the last torques."""
-        self.qp = qp
+    def _solve_program(self) -> None:
+        """Solve the program that was built; if that fails, its slack form."""
+        scratch, memory = self.scratch[0], self.memory[0]
+        scratch["solved"] = 0
+        if memory["built"] == HOLD:
+            return
         with suppress(PlanningError):
-            return self._take_torques(self._solve(qp))
-        if qp is self._grasp:
+            self._take_solution(self._solve(self.qp))
+        if memory["built"] == GRASP_PROGRAM and not scratch["solved"]:
+            relax_contacts(self.qp, float(self.law[0]["w_slack"]))
             with suppress(PlanningError):
-                x = self._solve(relax_contacts(qp, self.options.w_slack))
-                self.fallbacks["slack"] += 1
-                return self._take_torques(x)
-        self.solution = np.zeros(FREE[0])
-        return self._hold_torques()
+                self._take_solution(self._solve(self.qp))
+                memory["slack"] += 1
 
-    def _take_torques(self, x: np.ndarray) -> np.ndarray:
-        """Return the torques of a program's solution, and remember it."""
-        self.solution = x
-        return x[:QDD].reshape(2, 3)
+    def _take_solution(self, x: np.ndarray) -> None:
+        self.scratch[0]["x"][: len(x)] = x
+        self.scratch[0]["solved"] = 1
 
-    def _hold_torques(self) -> np.ndarray:
-        """Return the last torques, and count the fallback."""
-        self.fallbacks["last_torque"] += 1
-        return self._last.copy()
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in ("_call", "_arrays")}
 
-    def _fade_step(self, torques: np.ndarray) -> np.ndarray:
-        """Add the step of the torques at full contact, fading exponentially."""
-        since = (self._count - self._switched) * self._tick
-        if since >= FADED * self.options.fade:
-            return torques
-        if since == 0.0:
-            self._offset = self._last - torques
-        return np.clip(torques + self._offset * math.exp(-since / self.options.fade), -self._limits, self._limits)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._bind()
+
+    def _bind(self) -> None:
+        """Look the compiled function up once; its arguments stay the same."""
+        self._arrays = self.law, self.impact_map.heights, self.impact_map.weights, self.memory, self.scratch
+        self._call: Callable[..., Any] = bind(run_tick, *self._arrays, NOTHING)

@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from impact_envs.dual_arm.arm import compute_dynamics, compute_kinematics
 from planners.dual_arm.reference import AnteField, compute_ante_rate, compute_ante_velocity
 
@@ -34,13 +34,26 @@ class Terms(NamedTuple):
     nominal: np.ndarray
 
 
+# The same as a record.
+TERMS = np.dtype(
+    [
+        ("M", float, (2, 3, 3)),
+        ("h", float, (2, 3)),
+        ("pose", float, (2, 3)),
+        ("J", float, (2, 3, 3)),
+        ("drift", float, (2, 3)),
+        ("twist", float, (2, 3)),
+        ("nominal", float, (2, 3)),
+    ]
+)
+
+
 def make_terms() -> Terms:
     """Allocate the terms of both arms."""
-    square, row = (2, 3, 3), (2, 3)
-    return Terms(*(np.zeros(size) for size in (square, row, row, square, row, row, row)))
+    return Terms(*(np.zeros(TERMS[name].shape) for name in Terms._fields))
 
 
-@njit(cache=True)
+@compiled
 def compute_terms(arms: np.ndarray, q: np.ndarray, v: np.ndarray, terms: Terms) -> None:
     """Write dynamics and kinematics of both arms.
 
@@ -56,7 +69,7 @@ def compute_terms(arms: np.ndarray, q: np.ndarray, v: np.ndarray, terms: Terms) 
             terms.twist[i, r] = terms.J[i, r, 0] * v[i, 0] + terms.J[i, r, 1] * v[i, 1] + terms.J[i, r, 2] * v[i, 2]
 
 
-@njit(cache=True)
+@compiled
 def compute_nominal_rates(
     arms: np.ndarray, q: np.ndarray, v: np.ndarray, terms: Terms, field: AnteField, integrated: np.ndarray
 ) -> None:
@@ -88,7 +101,7 @@ def compute_nominal_rates(
         v_int[i, 2] = w - v_int[i, 0] - v_int[i, 1]
 
 
-@njit(cache=True)
+@compiled
 def integrate_reference(field: AnteField, integrated: np.ndarray, dt: float) -> None:
     """Move the integrated poses along the ante-impact reference by an explicit Euler step.
 
@@ -102,7 +115,7 @@ def integrate_reference(field: AnteField, integrated: np.ndarray, dt: float) -> 
         integrated[i, 2] += dt * rate
 
 
-@njit(cache=True)
+@compiled
 def estimate_box(terms: Terms, box: np.ndarray) -> None:
     """Write the box's pose and twist as the mean of both pads', which face each other.
 

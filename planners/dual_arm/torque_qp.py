@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from impact_envs.compiled import compiled
 from planners.dual_arm.reference import (
     AnteField,
     compute_ante_acceleration,
@@ -23,9 +23,8 @@ from planners.dual_arm.terms import Terms, compute_nominal_rates, compute_terms,
 TAU, QDD, BOX, NORMAL, TANGENTIAL = 0, 6, 12, 15, 19  # where the parts of x begin
 FREE, GRASP = (12, 6), (23, 23)  # sizes: unknowns and rows of A, without and with the box
 BOUNDED = 6  # unknowns with bounds: the torques
-EQUAL = 5  # sense of an equality, as DAQP has it
-CONTACT_ROWS = range(9, 15)  # of A: no acceleration between pads and box
-EQUALITIES = {FREE: 6, GRASP: 15}
+EQUALITIES_FREE, EQUALITIES_GRASP = 6, 15  # the first rows of A
+EQUALITIES = {FREE: EQUALITIES_FREE, GRASP: EQUALITIES_GRASP}
 # Added to the diagonal of H to make it definite: torques, and the split of tangential forces on a pad, have no cost.
 REGULARISATION = 1e-8
 
@@ -59,7 +58,6 @@ class TorqueQP(NamedTuple):
         f: shape (n,).
         A: shape (m, n); the first rows are equalities, see `EQUALITIES`.
         lower, upper: of the six torques, then of the rows of A, shape (6 + m,).
-        sense: 5 for an equality, 0 for two bounds, shape (6 + m,).
     """
 
     H: np.ndarray
@@ -67,7 +65,17 @@ class TorqueQP(NamedTuple):
     A: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
-    sense: np.ndarray
+
+
+def make_program_type(size: tuple[int, int]) -> np.dtype:
+    """Return a program as a record.
+
+    Args:
+        size: FREE or GRASP.
+    """
+    n, m = size
+    parts = [("H", float, (n, n)), ("f", float, n), ("A", float, (m, n)), ("lower", float, 6 + m)]
+    return np.dtype([*parts, ("upper", float, 6 + m)])
 
 
 def make_torque_qp(size: tuple[int, int], limits: np.ndarray) -> TorqueQP:
@@ -82,16 +90,14 @@ def make_torque_qp(size: tuple[int, int], limits: np.ndarray) -> TorqueQP:
     """
     n, m = size
     bound = np.full(6 + m, np.inf)
-    sense = np.zeros(6 + m, dtype=np.int32)
-    sense[6 : 6 + EQUALITIES[size]] = EQUAL
-    qp = TorqueQP(np.zeros((n, n)), np.zeros(n), np.zeros((m, n)), -bound, bound, sense)
+    qp = TorqueQP(np.zeros((n, n)), np.zeros(n), np.zeros((m, n)), -bound, bound)
     qp.upper[:6] = limits.ravel()
     qp.lower[:6] = -limits.ravel()
     qp.lower[6 + EQUALITIES[size] :] = 0.0
     return qp
 
 
-@njit(cache=True)
+@compiled
 def write_arm_motion(qp: TorqueQP, terms: Terms) -> None:
     """Write M q'' - tau = -h of both arms into the first six rows.
 
@@ -106,7 +112,7 @@ def write_arm_motion(qp: TorqueQP, terms: Terms) -> None:
             qp.lower[6 + row] = qp.upper[6 + row] = -terms.h[i, r]
 
 
-@njit(cache=True)
+@compiled
 def clear_cost(qp: TorqueQP) -> None:
     """Reset the cost to the regularisation alone."""
     n = len(qp.f)
@@ -117,7 +123,7 @@ def clear_cost(qp: TorqueQP) -> None:
         qp.H[r, r] = REGULARISATION
 
 
-@njit(cache=True)
+@compiled
 def add_arm_task(qp: TorqueQP, terms: Terms, i: int, r: int, weight: float, target: float) -> None:
     """Add weight (J_r q_i'' + (J' q')_r - target)^2 to the cost.
 
@@ -137,7 +143,7 @@ def add_arm_task(qp: TorqueQP, terms: Terms, i: int, r: int, weight: float, targ
             qp.H[start + a, start + b] += 2.0 * weight * terms.J[i, r, a] * terms.J[i, r, b]
 
 
-@njit(cache=True)
+@compiled
 def build_ante(qp: TorqueQP, terms: Terms, field: AnteField, gains: AnteGains, ramp: float) -> None:
     """Build the ante-impact program: follow the velocity field, and keep the pads mirror images of each other.
 
@@ -166,7 +172,7 @@ def build_ante(qp: TorqueQP, terms: Terms, field: AnteField, gains: AnteGains, r
         add_synchronisation(qp, terms, field, gains, ramp)
 
 
-@njit(cache=True)
+@compiled
 def add_synchronisation(qp: TorqueQP, terms: Terms, field: AnteField, gains: AnteGains, ramp: float) -> None:
     """Add the task that keeps pad 2 the mirror image of pad 1 about the box's y axis.
 
@@ -188,7 +194,7 @@ def add_synchronisation(qp: TorqueQP, terms: Terms, field: AnteField, gains: Ant
                 qp.H[QDD + a, QDD + b] += 2.0 * gains.w_sync * ja * jb
 
 
-@njit(cache=True)
+@compiled
 def build_interim(
     qp: TorqueQP, terms: Terms, field: AnteField, gains: InterimGains, integrated: np.ndarray, press: float
 ) -> None:
@@ -219,7 +225,7 @@ def build_interim(
             add_arm_task(qp, terms, i, r, weight, feedforward + gain * (integrated[i, r] - terms.pose[i, r]))
 
 
-@njit(cache=True)
+@compiled
 def assemble_ante(
     qp: TorqueQP,
     terms: Terms,
@@ -241,7 +247,7 @@ def assemble_ante(
     build_ante(qp, terms, field, gains, ramp)
 
 
-@njit(cache=True)
+@compiled
 def assemble_interim(
     qp: TorqueQP,
     terms: Terms,

@@ -112,11 +112,13 @@ def test_the_post_field_starts_with_the_prediction_and_ends_at_the_target():
 
 def test_the_interpolation_is_exact_at_its_nodes_and_clipped_outside():
     heights = np.array([(a, b) for a in (-0.05, 0.0, 0.05) for b in (-0.05, 0.0, 0.05)])
-    twists = RNG.normal(0.0, 1.0, (9, 3))
+    twists, predicted = RNG.normal(0.0, 1.0, (9, 3)), np.zeros(3)
     impact_map = make_impact_map(heights, twists, 15.0)
     for pair, twist in zip(heights, twists, strict=True):
-        assert predict_twist(impact_map, pair) == pytest.approx(twist)
-    assert predict_twist(impact_map, np.array([1.0, -1.0])) == pytest.approx(twists[6])
+        predict_twist(impact_map, pair, predicted)
+        assert predicted == pytest.approx(twist)
+    predict_twist(impact_map, np.array([1.0, -1.0]), predicted)
+    assert predicted == pytest.approx(twists[6])
 
 
 def test_simulated_impacts_start_on_the_faces_at_the_reference_velocity():

@@ -7,14 +7,15 @@ import pytest
 import impact_envs
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.errors import InputError
-from planners.dual_arm.dense_qp import get_solver, relax_contacts, solve_clarabel, solve_daqp, solve_goldfarb_idnani
-from planners.dual_arm.grasp_qp import assemble_post
+from planners.dual_arm.control_memory import make_ante_field
+from planners.dual_arm.dense_qp import get_solver, solve_clarabel, solve_daqp, solve_goldfarb_idnani
+from planners.dual_arm.grasp_qp import assemble_post, relax_contacts
 from planners.dual_arm.options import EXPERT
 from planners.dual_arm.reference import PostField, compute_ante_velocity
-from planners.dual_arm.reference_spreading import make_ante_field, make_gains
 from planners.dual_arm.terms import compute_terms, estimate_box, make_terms
 from planners.dual_arm.torque_qp import FREE, GRASP, TorqueQP, assemble_ante, assemble_interim, make_torque_qp
 from planners.errors import Infeasible
+from tests.planners.dual_arm.oracle import make_gains
 
 PATH = Path(impact_envs.__file__).parent / "dual_arm" / "scenarios" / "dual_arm_grasp.toml"
 SCENARIO = DualArmScenario.model_validate(tomllib.loads(PATH.read_text()))
@@ -50,6 +51,13 @@ def post(q: np.ndarray, v: np.ndarray) -> TorqueQP:
     return program
 
 
+def relaxed(program: TorqueQP) -> TorqueQP:
+    """Return the slack form of a program."""
+    slack = TorqueQP(*(part.copy() for part in program))
+    relax_contacts(slack, EXPERT.controller.w_slack)
+    return slack
+
+
 def programs(seed: int) -> list[TorqueQP]:
     rng = np.random.default_rng(seed)
     states = [near_impact(rng, 0.02) for _ in range(10)]
@@ -83,7 +91,7 @@ def test_torques_equal_daqps():
             narrow.upper[:6], narrow.lower[:6] = limit, -limit
             forms = [narrow]
             if len(program.f) == GRASP[0]:
-                forms = [relax_contacts(narrow, 1.0)] + ([narrow] if limit == 70.0 else [])
+                forms = [relaxed(narrow)] + ([narrow] if limit == 70.0 else [])
             for form in forms:
                 x, y = solve_goldfarb_idnani(form), solve_daqp(form)
                 assert np.abs(x[:6] - y[:6]).max() < 1e-9
@@ -180,15 +188,29 @@ def test_the_slack_form_solves_what_has_no_solution():
     solve = get_solver()
     with pytest.raises(Infeasible):
         solve(program)
-    x = solve(relax_contacts(program, EXPERT.controller.w_slack))
+    x = solve(relaxed(program))
     assert np.all(np.abs(x[:6]) <= 5.0 + 1e-6)
     assert program.A[:9] @ x == pytest.approx(program.upper[6:15], abs=1e-5)
+
+
+def test_every_slack_form_is_solved():
+    """Also at rates that no torques can follow, and at no higher a cost than DAQP's."""
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        q, v = near_impact(rng, 0.05)
+        program = relaxed(post(q, 40.0 * v))
+        x = solve_goldfarb_idnani(program)
+        assert np.all(np.abs(x[:6]) <= LIMITS.ravel() + 1e-8)
+        assert program.A[:9] @ x == pytest.approx(program.upper[6:15], abs=1e-6)
+        assert (program.A[15:] @ x >= -1e-6).all()
+        cost, other = (0.5 * z @ program.H @ z + program.f @ z for z in (x, solve_daqp(program)))
+        assert cost <= other + 1e-9 * abs(other)
 
 
 def test_the_slack_form_changes_nothing_where_contacts_can_hold():
     q, v = near_impact(np.random.default_rng(4), 0.002)
     program, solve = post(q, v), get_solver()
-    heavy = relax_contacts(program, EXPERT.controller.w_slack)
+    heavy = relaxed(program)
     rows = program.A[9:15] @ solve(heavy) - program.upper[15:21]
     assert np.abs(rows).max() < 0.5
 
