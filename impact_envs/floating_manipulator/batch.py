@@ -14,6 +14,7 @@ from impact_envs.errors import InputError
 from impact_envs.failure import NotFinite, TooManyEvents
 from impact_envs.floating_manipulator.collision import EVENTS
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
+from impact_envs.floating_manipulator.secrets import list_secrets
 from impact_envs.floating_manipulator.step import LEAVE, START, STEP, Output, run_range
 from impact_envs.floating_manipulator.task import FloatingManipulatorTask
 from impact_envs.floating_manipulator.worlds import (
@@ -26,7 +27,7 @@ from impact_envs.floating_manipulator.worlds import (
     make_worlds,
     write_physics,
 )
-from impact_envs.stl.compiler import compile_formula
+from impact_envs.stl.compiler import compile_formula, read_parts
 from impact_envs.stream import draw_doubles, seed_streams
 
 
@@ -44,6 +45,8 @@ class ManipulatorBatch:
         robots: number of agents.
         action_shape: of one world's actions.
         joint_size: length of an observation.
+        task: of every world.
+        secrets: drawn physics of every world, as the task lists them, shape (N, secrets).
 
     Raises:
         InputError: too many worlds for the memory, or a count below 1.
@@ -59,7 +62,7 @@ class ManipulatorBatch:
     ) -> None:
         announce(run_range)
         self.scenario, self.count, self.dtype = scenario, count, dtype
-        task = FloatingManipulatorTask(scenario)
+        self.task = task = FloatingManipulatorTask(scenario)
         self.robots, self.joint_size = len(scenario.agents), task.joint_layout.size
         self.action_shape = (sum(space.shape[0] for space in task.action_spaces.values()),)
         self._last = scenario.steps if max_cycles is None else min(max_cycles, scenario.steps)
@@ -77,6 +80,7 @@ class ManipulatorBatch:
         counted = Drawn()
         scenario.draw(cast(Any, counted))
         self._draw_count = counted.count
+        self.secrets = np.zeros((count, task.secrets_layout.size))
         self._threads = min(threads, count)
         self._scratch = [make_step_scratch(self._arena) for _ in range(self._threads)]
         self._pool: ThreadPoolExecutor | None = None
@@ -121,6 +125,16 @@ class ManipulatorBatch:
     def over(self) -> np.ndarray:
         """Return which episodes are at their end, shape (N,)."""
         return (self.steps >= self._last) | self.failed
+
+    @property
+    def decided(self) -> np.ndarray:
+        """Return where nothing follows: at the horizon, or failed, shape (N,)."""
+        return (self.steps >= self.scenario.steps) | self.failed
+
+    @property
+    def parts(self) -> np.ndarray:
+        """Return the intervals of the formula's temporal operators, as ``Monitor.parts``, shape (N, parts, 2) [m]."""
+        return read_parts(self._formula, self._memory.monitor)
 
     def describe_failures(self) -> np.ndarray:
         """Return why each world failed, "" where it did not, shape (N,) of texts."""
@@ -228,7 +242,9 @@ class ManipulatorBatch:
         """Draw the physics of some worlds, shape (m,), as `scenario.draw` does."""
         numbers = draw_doubles(self._worlds.streams, worlds, self._draw_count)
         for k, row in zip(worlds.tolist(), numbers.tolist(), strict=True):
-            write_physics(self._worlds, k, self.scenario.draw(cast(Any, Drawn(row))))
+            physics = self.scenario.draw(cast(Any, Drawn(row)))
+            write_physics(self._worlds, k, physics)
+            self.secrets[k] = list_secrets(physics)
 
     def _make_worlds(self, count: int) -> tuple[Worlds, Memory]:
         delay = self.scenario.true.delay_steps

@@ -40,8 +40,7 @@ from impact_envs.free_flyer.worlds import (
     make_worlds,
     write_physics,
 )
-from impact_envs.stl.compiler import compile_formula, find_parts
-from impact_envs.stl.margin import TIE
+from impact_envs.stl.compiler import compile_formula, read_parts
 from impact_envs.stream import draw_doubles, seed_streams
 
 
@@ -89,8 +88,7 @@ class BatchViews:
     @property
     def parts(self) -> np.ndarray:
         """Return the intervals of the formula's temporal operators, as ``Monitor.parts``, shape (N, parts, 2) [m]."""
-        found = _hand_over(self._memory.monitor)[:, find_parts(self._formula)]
-        return np.where(np.abs(found) <= TIE, 0.0, found)
+        return read_parts(self._formula, _hand_over(self._memory.monitor))
 
     @property
     def secrets(self) -> np.ndarray:

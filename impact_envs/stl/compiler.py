@@ -14,7 +14,7 @@ from impact_envs.stl import alternation, joined
 from impact_envs.stl import compiled_formula as tables
 from impact_envs.stl.compiled_formula import CompiledFormula
 from impact_envs.stl.formula import Formula
-from impact_envs.stl.margin import AreaLike, Margin, Range, combine_ranges, mark_tie
+from impact_envs.stl.margin import TIE, AreaLike, Margin, Range, combine_ranges, mark_tie
 from impact_envs.stl.term import (
     Combination,
     Operator,
@@ -72,16 +72,25 @@ def compile_formula(
     return builder.finish()
 
 
-def find_parts(compiled: CompiledFormula) -> np.ndarray:
-    """Return where a world's memory holds the intervals of the root's temporal operators, shape (parts, 2)."""
+def read_parts(compiled: CompiledFormula, memory: np.ndarray) -> np.ndarray:
+    """Return the intervals of robustness still possible of the root's temporal operators.
+
+    Args:
+        compiled: formula.
+        memory: of N worlds, shape (N, ``compiled.size``).
+
+    Returns:
+        Lower and upper ends, shape (N, operators, 2).
+    """
     count = int(np.sum(~np.isin(compiled.root[:, tables.KIND], (tables.PUSH, tables.POP))))
-    return np.arange(2 * count).reshape(count, 2)
+    found = memory[:, : 2 * count].reshape(len(memory), count, 2)
+    return np.where(np.abs(found) <= TIE, 0.0, found)
 
 
 def describe_parts(
     formula: Formula, period: float, areas: Mapping[str, AreaLike], bodies: Sequence[str]
 ) -> tuple[str, ...]:
-    """Return what each of the root's temporal operators is, in the order of `find_parts`.
+    """Return what each of the root's temporal operators is, in the order of `read_parts`.
 
     Args:
         formula, period, areas, bodies: see `compile_formula`.
@@ -150,7 +159,7 @@ class _Builder:
     def add_root(self, term: Term) -> None:
         """Append the rows of a whole formula."""
         rows = list(_linearise(term, lambda part: is_state(part) or isinstance(part, Operator)))
-        self._allocate(2 * sum(leaf is not None for *_, leaf in rows))  # their intervals, see find_parts
+        self._allocate(2 * sum(leaf is not None for *_, leaf in rows))  # their intervals, see read_parts
         for kind, how, depth, leaf in rows:
             if leaf is None:
                 self.root.append([kind, how, 0, 0, 0, 0, 0, self._scratch("root", depth, 2)])

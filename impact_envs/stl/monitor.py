@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from impact_envs.errors import InputError, choices
-from impact_envs.stl.compiler import compile_formula, find_parts
+from impact_envs.stl.compiler import compile_formula, read_parts
 from impact_envs.stl.formula import Formula
-from impact_envs.stl.margin import TIE, AreaLike, Range
+from impact_envs.stl.margin import AreaLike, Range
 from impact_envs.stl.stepper import start_monitor, update_world
 from impact_envs.stl.term import compute_range, make_term
 from impact_envs.stl.verdict import settle_tie
@@ -66,7 +66,7 @@ class Monitor:
         self._compiled = compile_formula(self.formula, period, areas, bodies, self._names, bounds)
         self._possible = compute_range(make_term(self.formula, period, areas), bounds or {})
         self.period, self.reach, self._first = period, self.formula.reach(period), self.formula.first_look(period)
-        self._memory, self._places = np.zeros((1, self._compiled.size)), find_parts(self._compiled)
+        self._memory = np.zeros((1, self._compiled.size))
         self._sample: Any = np.zeros((1, len(self._names)))
         self._format = f"{len(self._names)}d"
         self.reset()
@@ -86,8 +86,7 @@ class Monitor:
 
         See ``describe_parts``.
         """
-        found = self._memory[0, self._places]
-        return np.where(np.abs(found) <= TIE, 0.0, found)
+        return read_parts(self._compiled, self._memory)[0]
 
     @property
     def final(self) -> bool:

@@ -12,6 +12,7 @@ from impact_envs.compiled import announce, bind
 from impact_envs.errors import InputError
 from impact_envs.floating_manipulator.observation import make_layout
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
+from planners.correction import spread_corrections
 from planners.floating_manipulator.correction import get_correction_size, get_feature_size
 from planners.floating_manipulator.options import Options, get_options, make_record
 from planners.floating_manipulator.world_loop import ACT, CONTROL, CORRECT, FEATURES, FOLLOW, START, run_experts
@@ -104,6 +105,11 @@ class FloatingManipulatorExpertBatch:
             InputError: observations of another shape.
         """
         self._run(FOLLOW, joint=self._check(observations))
+        return self.awaiting_correction
+
+    @property
+    def awaiting_correction(self) -> np.ndarray:
+        """Return in which worlds a correction is due in this control step, and not given yet, shape (N,) bool."""
         return self.memory.state["is_awaited"].copy()
 
     def features(self) -> np.ndarray:
@@ -112,28 +118,22 @@ class FloatingManipulatorExpertBatch:
         self._run(FEATURES, values=values)
         return values
 
-    def correct(self, worlds: np.ndarray, corrections: np.ndarray) -> None:
+    def correct(self, worlds: np.ndarray, corrections: np.ndarray) -> np.ndarray:
         """Set the corrections of some worlds until their next ones are awaited, as FloatingManipulatorExpert does.
 
         Args:
-            worlds: that await one: their numbers, shape (m,), or a mask, shape (N,).
+            worlds: that await one: a mask, shape (N,) bool, or their numbers, shape (m,).
             corrections: clipped to [-1, 1], shape (m, n + 2); zero changes nothing, bit for bit.
+
+        Returns:
+            Which worlds still await a correction, shape (N,) bool.
 
         Raises:
             InputError: other shapes, a number that is not finite, or a world that awaits no correction.
         """
-        chosen, values = np.arange(self.count)[np.asarray(worlds)], np.asarray(corrections, dtype=float)
-        if values.shape != (len(chosen), self.correction_size) or not np.isfinite(values).all():
-            raise InputError(
-                f"corrections of shape {values.shape}: finite numbers of shape "
-                f"({len(chosen)}, {self.correction_size}) are needed"
-            )
-        idle = chosen[~self.memory.state["is_awaited"][chosen]]
-        if len(idle):
-            raise InputError(f"world {idle[0]} awaits no correction now; see what observe returned")
-        spread = np.full((self.count, self.correction_size), np.nan)
-        spread[chosen] = np.clip(values, -1.0, 1.0)
-        self._run(CORRECT, values=spread)
+        awaiting, size = self.awaiting_correction, self.correction_size
+        self._run(CORRECT, values=spread_corrections(worlds, corrections, awaiting, size))
+        return self.awaiting_correction
 
     def control(self) -> np.ndarray:
         """Return every world's joint action in [-1, 1], as `act` does."""

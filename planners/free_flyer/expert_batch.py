@@ -16,7 +16,7 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import make_joint_layout
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.free_flyer.sensing import COS, SIN, TIME, find_shared_place
-from planners.correction import check_corrections
+from planners.correction import spread_corrections
 from planners.free_flyer.belief.options import Options, get_options, make_record
 from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table
 from planners.free_flyer.belief.world_memory import COUNTERS, NO_OBJECT, make_world_memory
@@ -154,8 +154,8 @@ class FreeFlyerExpertBatch:
         """Set the corrections of coming impacts, as FreeFlyerExpert does; then look for further ones in this step.
 
         Args:
-            worlds: which worlds' are given, shape (N,) bool.
-            corrections: in [-1, 1], shape (N, 2); the rows of these worlds count.
+            worlds: that await one: a mask, shape (N,) bool, or their numbers, shape (m,).
+            corrections: clipped to [-1, 1], shape (m, 2); zero changes nothing, bit for bit.
 
         Returns:
             Which worlds await a correction, shape (N,) bool.
@@ -163,8 +163,8 @@ class FreeFlyerExpertBatch:
         Raises:
             InputError: another shape, a value that is not finite, or a world that awaits none.
         """
-        check_corrections(worlds, corrections, self.awaiting_correction, self.correction_size)
-        self._corrections[:] = np.where(worlds[:, None], np.clip(corrections, -1.0, 1.0), np.nan)
+        awaiting, size = self.awaiting_correction, self.correction_size
+        self._corrections = spread_corrections(worlds, corrections, awaiting, size)
         self._share(DECIDE)
         return self.awaiting_correction
 

@@ -46,7 +46,7 @@ def test_secrets_are_the_draws_of_the_seed(name: str) -> None:
 
 
 @pytest.mark.parametrize("suite", SUITES)
-@pytest.mark.parametrize("name", ["throw_and_catch", "corridor", "exchange"])
+@pytest.mark.parametrize("name", ["throw_and_catch", "corridor", "exchange", "floating_manipulator_thrusters"])
 def test_world_k_of_many_knows_what_the_single_environment_does(name: str, suite: str) -> None:
     scenario, count = load_scenario(name).suite(suite), 3
     worlds, singles = vector_env(scenario, count, threads=1), [parallel_env(scenario) for _ in range(count)]
@@ -59,7 +59,8 @@ def test_world_k_of_many_knows_what_the_single_environment_does(name: str, suite
             np.testing.assert_array_equal(worlds.state(secrets), [env.state(secrets) for env in singles])
         worlds.step(sample)
         for env, row in zip(singles, sample, strict=True):
-            env.step(dict(zip(env.agents, row.reshape(-1, 3), strict=True)))
+            sizes = [env.action_space(agent).shape[0] for agent in env.agents]
+            env.step(dict(zip(env.agents, np.split(row, np.cumsum(sizes)[:-1]), strict=True)))
     assert worlds.state_layout(True).fields == singles[0].state_layout(True).fields
 
 

@@ -85,7 +85,7 @@ def test_corrections_of_a_batch_are_those_of_single_experts(name: str, suite: st
                 np.testing.assert_array_equal(features[k], pairs[k][1].features())
                 pairs[k][1].correct(corrections[k])
             answered += int(due.sum())
-            due = batch.correct(due, corrections)
+            due = batch.correct(due, corrections[due])
             assert [expert.awaiting_correction for _, expert in pairs] == due.tolist()
         actions = batch.control()
         for k, (env, expert) in enumerate(pairs):
@@ -103,7 +103,7 @@ def test_corrections_nobody_awaits_are_refused() -> None:
     while not batch.observe(joint).any():
         joint = vector.step(batch.control())[0]
     for corrections, words in (
-        (np.zeros(2), r"corrections of shape \(2,\)"),
+        (np.zeros(2), r"corrections of shape \(2,\): finite numbers of shape \(2, 2\) are needed"),
         (np.full((2, 2), np.inf), r"correction of world 0 must be 2 finite numbers, got \[inf inf\]"),
     ):
         with pytest.raises(InputError, match=words):
