@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -13,6 +13,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from agents.decisions import Decisions
 from agents.residual import TRAINING_SEEDS
 from impact_envs.agent_vectors import REAL
 from impact_envs.domain import find_part, list_domains
@@ -23,38 +24,6 @@ from impact_envs.state import make_state_layout, read_state
 from impact_envs.vector_reset import make_seeds, read_mask
 from planners import make_expert_batch
 from planners.plan import Plan
-
-
-class Decisions(Protocol):
-    """Worlds of a domain with their experts, run from one awaited correction to the next."""
-
-    awaiting_correction: np.ndarray
-    over: np.ndarray
-    failed: np.ndarray
-    decided: np.ndarray
-    batch: Any  # the worlds
-    steps: np.ndarray  # control periods since the last start or answer
-
-    def start(self, worlds: np.ndarray, seeds: Sequence[int] | np.ndarray) -> None:
-        """Start an episode in some worlds and run it to the first awaited correction."""
-
-    def answer(self, worlds: np.ndarray, corrections: np.ndarray) -> None:
-        """Give some worlds the correction they await, and run them to the next one or to the end."""
-
-    def features(self) -> np.ndarray:
-        """Return what a learner may see of every world, shape (N, feature size)."""
-
-    def take_rewards(self, worlds: np.ndarray) -> np.ndarray:
-        """Return the rewards of some worlds since they were last taken, zero of the others, shape (N,) [m]."""
-
-    def judge(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return robustness [m] and success of every world, both of shape (N,)."""
-
-    def describe_failures(self) -> np.ndarray:
-        """Return why each world failed, "" where it did not, shape (N,) of texts."""
-
-    def close(self) -> None:
-        """Let threads and processes go."""
 
 
 class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -98,11 +67,11 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         threads: int | None = None,
     ) -> None:
         loaded = load_scenario(scenario).suite(suite)
-        make_decisions = find_part("agents", loaded.domain, "DECISIONS")
-        if make_decisions is None:
-            able = [name for name in list_domains() if find_part("agents", name, "DECISIONS")]
+        make_loop = find_part("agents", loaded.domain, "LOOP")
+        if make_loop is None:
+            able = [name for name in list_domains() if find_part("agents", name, "LOOP")]
             raise InputError(
-                f"scenario '{loaded.name}': domain '{loaded.domain}' has no compiled decisions; domains that have: "
+                f"scenario '{loaded.name}': domain '{loaded.domain}' has no compiled loop; domains that have one: "
                 f"{', '.join(able)}; gymnasium.vector.SyncVectorEnv runs ResidualEnv of every scenario"
             )
         modes = [mode.value for mode in AutoresetMode]
@@ -117,7 +86,9 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.metadata = {"autoreset_mode": self.autoreset_mode}
         threads = threads or len(os.sched_getaffinity(0))
         self.experts = make_expert_batch(loaded, num_envs, plan, options=options, threads=threads)
-        self.decisions: Decisions = make_decisions(loaded, self.experts, max_cycles)
+        make_batch = find_part("impact_envs", loaded.domain, "BATCH")
+        self.batch = make_batch(loaded, num_envs, max_cycles, threads=self.experts.threads)
+        self.decisions = Decisions(self.batch, self.experts, make_loop)
         self.single_action_space = Box(-1.0, 1.0, (self.experts.correction_size,), np.float32)
         self.single_observation_space = Box(-np.inf, np.inf, (self.experts.feature_size,), np.float64)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -155,7 +126,7 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._generators = self._generators or [seeding.np_random()[0] for _ in range(self.num_envs)]
             self._draw_seeds(mask)
         self._start(mask)
-        return self.decisions.features(), self._infos()
+        return self.experts.features(), self._infos()
 
     def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Answer the correction that every world awaits, and run each to its next one, or to its end.
@@ -188,9 +159,9 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._draw_seeds(restart)
             self._start(restart)
         rewards = decisions.take_rewards(~restart)
-        over = decisions.over & ~restart
-        failed = decisions.failed & over
-        features, infos = decisions.features(), self._infos(over)
+        over = self.batch.over & ~restart
+        failed = self.batch.failed & over
+        features, infos = self.experts.features(), self._infos(over)
         self._over = over
         if over.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
             features, infos = self._start_over(over, features, infos)
@@ -200,11 +171,11 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Return the truth of every world at its decision, as ``ImpactVectorEnv.state``, shape (num_envs, size)."""
         if not self._started:
             raise ResetNeeded("state before reset: call reset first")
-        return read_state(self.decisions.batch, secrets)
+        return read_state(self.batch, secrets)
 
     def state_layout(self, secrets: bool = False) -> Layout:
         """Return what stands where in ``state(secrets)``."""
-        return make_state_layout(self.decisions.batch.task, secrets)
+        return make_state_layout(self.batch.task, secrets)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Let the threads and the planners' processes go."""
@@ -219,7 +190,7 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._draw_seeds(over)
         self._start(over)
         masks = {f"_{name}": over.copy() for name in final}
-        return self.decisions.features(), self._infos() | ends | final | masks
+        return self.experts.features(), self._infos() | ends | final | masks
 
     def _start(self, worlds: np.ndarray) -> None:
         self._started = False
@@ -239,9 +210,13 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if over is None or not over.any():
             return infos
         robustness, success = self.decisions.judge()
-        values = {"robustness": robustness * over, "success": success & over, "decided": self.decisions.decided & over}
-        if (failed := self.decisions.failed & over).any():
-            values["failure"] = np.where(failed, self.decisions.describe_failures(), "")
+        values = {
+            "robustness": robustness * over,
+            "success": success & over,
+            "decided": self.batch.decided & over,
+        }
+        if (failed := self.batch.failed & over).any():
+            values["failure"] = np.where(failed, self.batch.describe_failures(), "")
         masks = {f"_{name}": over.copy() for name in values} | ({"_failure": failed} if failed.any() else {})
         return infos | values | masks
 

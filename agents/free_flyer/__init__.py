@@ -1,3 +1,3 @@
 """Free-flyers: from decision to decision of many worlds in one compiled call."""
 
-DECISIONS = "agents.free_flyer.decisions:FreeFlyerDecisions"
+LOOP = "agents.free_flyer.decision_loop:FreeFlyerLoop"

@@ -2,80 +2,69 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, cast
 
 import numpy as np
 
-from impact_envs.compiled import compiled
+from agents.decisions import PATIENCE
+from agents.progress import ADVANCE, ANSWER, BEGIN, OBSERVE, POLL, REST, Progress
+from impact_envs.compiled import announce, compiled
+from impact_envs.free_flyer.batch import Batch
 from impact_envs.free_flyer.sensing import Sensing
-from impact_envs.free_flyer.step import STEP, Memory, Output, Rules, run_range
+from impact_envs.free_flyer.step import Memory, Output, Rules, run_range
 from impact_envs.free_flyer.worlds import LOST, OVERFLOW, STEPS, Arena, Scratch, Worlds
 from impact_envs.stl.compiled_formula import CompiledFormula
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
 from planners.free_flyer.closed_loop.world_loop import control_world, correct_impact, observe_world, start_world
+from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
 from planners.free_flyer.next_impact.rest_qp import RestQP
 from planners.free_flyer.tracking.mpc import Workspace
 
-# What is to be done with a world: nothing; start its expert; take the correction; observe; control and step; ask
-# Python whether a new plan is wanted or there, and then observe.
-REST, BEGIN, ANSWER, OBSERVE, ADVANCE, POLL = range(6)
+RATE = 100_000  # control periods in a second, about
 
 
-class Progress(NamedTuple):
-    """How far N worlds are.
-
-    Attributes:
-        todo: of REST ... POLL, shape (N,).
-        due: object whose coming impact's correction is due, or NO_OBJECT, shape (N,).
-        corrections: taken by ANSWER, in [-1, 1], shape (N, 2).
-        wake: when POLL is next, inf for never, NaN where there is no background planner, shape (N,) [s].
-        rewards: summed over robots and control periods since it was set to zero, shape (N,) [m].
-        steps: control periods since it was set to zero, shape (N,).
-        joint: everything measured once, shape (N, joint size).
-        actions: of the robots, shape (N, r, 3).
-        each: STEP of every world, as ``run_range`` reads it, shape (N,).
-    """
-
-    todo: np.ndarray
-    due: np.ndarray
-    corrections: np.ndarray
-    wake: np.ndarray
-    rewards: np.ndarray
-    steps: np.ndarray
-    joint: np.ndarray
-    actions: np.ndarray
-    each: np.ndarray
-
-
-def make_progress(due: np.ndarray, joint: np.ndarray, robots: int, size: int) -> Progress:
-    """Make the progress of N worlds that rest.
+class FreeFlyerLoop:
+    """The compiled loop of free-flyers, see `Decisions`; worlds whose plan is made anew follow tables of their own.
 
     Args:
-        due: of the experts, shape (N,).
-        joint: that the worlds write their measurements to, shape (N, joint size).
-        robots: of a world.
-        size: of a correction.
+        batch: the worlds.
+        experts: theirs.
+        output: that the worlds write to.
+        progress: how far they are.
     """
-    count = len(due)
-    return Progress(
-        todo=np.full(count, REST),
-        due=due,
-        corrections=np.zeros((count, size)),
-        wake=np.full(count, np.inf),
-        rewards=np.zeros(count),
-        steps=np.zeros(count, np.int64),
-        joint=joint,
-        actions=np.zeros((count, robots, 3)),
-        each=np.full(count, STEP),
-    )
+
+    def __init__(self, batch: Batch, experts: FreeFlyerExpertBatch, output: Output, progress: Progress) -> None:
+        announce(run_until_due)
+        self._batch, self._experts, self._output, self._progress = batch, experts, output, progress
+        # When a world is polled next [s]: inf for never, NaN where nobody plans in the background.
+        self._wake = np.full(batch.count, np.inf if experts.plans_anew else np.nan)
+
+    def run(self, thread: int, first: int, end: int) -> None:
+        """Run the worlds from first to before end until they rest or are to be polled; for PATIENCE, about."""
+        world, expert = (*self._batch.arrays, tuple(self._output)), (*self._experts.tables, self._experts.due)
+        limits = self._batch.scenario.steps, int(PATIENCE * RATE)
+        for plan, *ends in self._experts.split_worlds(first, end):
+            arguments = *world, tuple(plan), *expert, tuple(self._progress), self._wake, *limits, thread, *ends
+            cast(Any, run_until_due)(*arguments)
+
+    def forget(self, k: int) -> None:
+        """Forget plans of its own and questions of world k, whose episode starts."""
+        self._experts.forget_world(k)
+        self._wake[k] += np.inf  # not where it is NaN
+
+    def poll(self, k: int) -> None:
+        """Let world k ask for a new plan, or take one over."""
+        self._experts.poll_plan(k)
+        self._wake[k] = self._experts.find_wake(k)
 
 
 @compiled
-def must_poll(memory: WorldMemory, progress: Progress, k: int) -> bool:
+def must_poll(memory: WorldMemory, wake: np.ndarray, k: int) -> bool:
     """Return whether Python is to look after the background planner before world k observes."""
     now = memory.time[k]
-    return now >= progress.wake[k] or (progress.wake[k] == progress.wake[k] and 0.0 <= memory.wanted[k] <= now)
+    return now >= wake[k] or (not math.isnan(wake[k]) and 0.0 <= memory.wanted[k] <= now)
 
 
 @compiled
@@ -94,7 +83,9 @@ def run_until_due(
     options: np.ndarray,
     workspace: tuple,
     qp: tuple,
+    due: np.ndarray,
     progress: tuple,
+    wake: np.ndarray,
     horizon: int,
     left: int,
     c: int,
@@ -105,8 +96,9 @@ def run_until_due(
 
     Args:
         arena, worlds, scratch, log, formula, sensing, rules, memory, output: as ``run_tuples`` takes them.
-        plan, expert, options, workspace, qp: as ``run_experts`` takes them.
+        plan, expert, options, workspace, qp, due: as ``run_experts`` takes them.
         progress: the fields of Progress.
+        wake: when a world is polled next, NaN where nobody plans in the background, shape (N,) [s].
         horizon: control periods at which the formula is decided: nothing is observed there any more.
         left: control periods that may be run in this call, all worlds together; who calls can be interrupted then.
         c: thread.
@@ -120,15 +112,15 @@ def run_until_due(
     for k in range(first, end):
         if at.todo[k] == BEGIN:
             start_world(plan_, expert_, options_, k)
-            at.due[k], at.todo[k] = NO_OBJECT, OBSERVE
+            due[k], at.todo[k] = NO_OBJECT, OBSERVE
         elif at.todo[k] == ANSWER:
-            at.due[k] = correct_impact(plan_, expert_, options_, k, at.due[k], at.corrections)
-            at.todo[k] = ADVANCE if at.due[k] == NO_OBJECT else REST
+            due[k] = correct_impact(plan_, expert_, options_, k, due[k], at.corrections)
+            at.todo[k] = ADVANCE if due[k] == NO_OBJECT else REST
         while at.todo[k] == OBSERVE or at.todo[k] == ADVANCE:
             if at.todo[k] == OBSERVE:
-                at.due[k] = observe_world(plan_, expert_, options_, qp_, c, k, at.joint)
+                due[k] = observe_world(plan_, expert_, options_, qp_, c, k, at.joint)
                 over = worlds_.counter[k, STEPS] >= rules_.last
-                at.todo[k] = REST if over or at.due[k] != NO_OBJECT else ADVANCE
+                at.todo[k] = REST if over or due[k] != NO_OBJECT else ADVANCE
                 continue
             if left == 0:
                 return
@@ -147,4 +139,4 @@ def run_until_due(
             if failed or worlds_.counter[k, STEPS] >= horizon:
                 at.todo[k] = REST
             else:
-                at.todo[k] = POLL if must_poll(expert_, at, k) else OBSERVE
+                at.todo[k] = POLL if must_poll(expert_, wake, k) else OBSERVE

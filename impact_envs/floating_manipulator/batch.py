@@ -220,17 +220,17 @@ class ManipulatorBatch:
         self._bind()
 
     def _bind(self) -> None:
-        arrays, actions, todo = self._collect(0), np.zeros((0, *self.action_shape)), np.zeros(0, np.int64)
+        arrays, actions, todo = self.collect(0), np.zeros((0, *self.action_shape)), np.zeros(0, np.int64)
         self._call = bind(run_range, *arrays, self.make_output(False), actions, todo, 0, 0)  # of no world
 
-    def _collect(self, thread: int) -> tuple[Any, ...]:
-        """Return what every call takes."""
+    def collect(self, thread: int) -> tuple[Any, ...]:
+        """Return what every call of `run_range` by a thread takes before the output."""
         return self._arena, self._worlds, self._memory, self._formula, self._scratch[thread]
 
     def _run(self, actions: np.ndarray, todo: np.ndarray, output: Output) -> None:
         def run(thread: int) -> None:
             first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
-            self._call(*self._collect(thread), output, actions, todo, first, end)
+            self._call(*self.collect(thread), output, actions, todo, first, end)
 
         if self._threads == 1:
             run(0)

@@ -42,6 +42,7 @@ class FloatingManipulatorExpertBatch:
         count: N.
         correction_size, feature_size: of what `correct` takes and `features` returns, per world.
         memory: of all worlds.
+        threads: that share the worlds.
 
     Raises:
         InputError: the variant or the form of the coefficients is unknown, or there is no world.
@@ -65,8 +66,8 @@ class FloatingManipulatorExpertBatch:
         self.memory = make_expert_memory(table, chosen, count)
         self._arrays = table, self.memory, make_record(chosen)
         self._action_size = sum(len(limits) for limits in scenario.largest_commands.values())
-        self._threads = min(threads, count)
-        self._scratch = [make_expert_scratch(table) for _ in range(self._threads)]
+        self.threads = min(threads, count)
+        self._scratch = [make_expert_scratch(table) for _ in range(self.threads)]
         self._pool: ThreadPoolExecutor | None = None
         self._bind()
         self._run(START)
@@ -154,21 +155,25 @@ class FloatingManipulatorExpertBatch:
         self.__dict__.update(state)
         self._bind()
 
+    def collect(self, thread: int) -> tuple[Any, ...]:
+        """Return what every call of `run_experts` by a thread takes before the observations."""
+        return *self._arrays, self._scratch[thread]
+
     def _bind(self) -> None:
-        self._call = bind(run_experts, *self._arrays, self._scratch[0], NONE, NONE, NONE, START, 0, 0)  # of no world
+        self._call = bind(run_experts, *self.collect(0), NONE, NONE, NONE, START, 0, 0)  # of no world
 
     def _run(self, phase: int, joint: np.ndarray = NONE, values: np.ndarray = NONE, actions: np.ndarray = NONE) -> None:
         """Do one part of the control period of all worlds."""
 
         def share(thread: int) -> None:
-            first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
-            self._call(*self._arrays, self._scratch[thread], joint, values, actions, phase, first, end)
+            first, end = thread * self.count // self.threads, (thread + 1) * self.count // self.threads
+            self._call(*self.collect(thread), joint, values, actions, phase, first, end)
 
-        if self._threads == 1:
+        if self.threads == 1:
             share(0)
         else:
-            self._pool = self._pool or ThreadPoolExecutor(self._threads)
-            list(self._pool.map(share, range(self._threads)))
+            self._pool = self._pool or ThreadPoolExecutor(self.threads)
+            list(self._pool.map(share, range(self.threads)))
 
     def _check(self, observations: np.ndarray) -> np.ndarray:
         """Return observations as float64, or raise InputError."""

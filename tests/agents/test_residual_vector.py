@@ -21,7 +21,7 @@ from impact_envs.domain import find_part
 from tests.frozen.freeze import get_plan
 
 WORLDS, SEED = 3, 100
-DECIDING = [name for name in list_scenarios() if find_part("agents", load_scenario(name).domain, "DECISIONS")]
+LOOPED = [name for name in list_scenarios() if find_part("agents", load_scenario(name).domain, "LOOP")]
 MODES = [mode.value for mode in AutoresetMode]
 EVERYWHERE = ("seed", "control_steps")
 ENDS = ("robustness", "success", "decided")
@@ -88,7 +88,7 @@ def test_a_cut_is_no_decided_end_and_shows_the_features_there() -> None:
 
 @pytest.mark.slow  # with plans made anew in the background, and two objects due at once
 @pytest.mark.parametrize("suite", ["nominal", "all", "hard", "short"])
-@pytest.mark.parametrize("name", DECIDING)
+@pytest.mark.parametrize("name", LOOPED)
 def test_every_scenario_and_suite_is_residual_envs_bit_for_bit(name: str, suite: str) -> None:
     if suite not in load_scenario(name)._suites() or (name == "crew" and suite in ("short", "hard")):
         pytest.skip(f"{name} has no plan within minutes, or no suite {suite}")

@@ -1,0 +1,3 @@
+"""Floating manipulators: from decision to decision of many worlds in one compiled call."""
+
+LOOP = "agents.floating_manipulator.decision_loop:FloatingManipulatorLoop"
