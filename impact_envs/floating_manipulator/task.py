@@ -12,7 +12,7 @@ from gymnasium.spaces import Box
 
 from impact_envs.agent_vectors import read_vectors
 from impact_envs.compiled import bind
-from impact_envs.floating_manipulator.actuation import compute_forces, make_actuators
+from impact_envs.floating_manipulator.actuation import compute_forces, join_limits, make_actuators, scale_action
 from impact_envs.floating_manipulator.observation import find_places, make_layout, select_felt, write_observation
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
 from impact_envs.floating_manipulator.signals import find_length, read_coordinates, write_signals
@@ -55,8 +55,8 @@ class FloatingManipulatorTask:
         self.scenario = scenario
         n = len(scenario.links)
         self._horizon = float(scenario.horizon)
-        self._limits = scenario.largest_commands
-        self._sizes = {name: len(limits) for name, limits in self._limits.items()}
+        largest = scenario.largest_commands
+        self._sizes = {name: len(limits) for name, limits in largest.items()}
         true = scenario.true
         self._noise = np.array(
             [true.position_noise] * 2 + [true.speed_noise] * 2 + [true.heading_noise, true.rate_noise]
@@ -65,8 +65,10 @@ class FloatingManipulatorTask:
         states = [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS]
         self.signal_names = (*states, *scenario.extra_signals)
         self._w, self._rates, self._values = np.zeros((n + 1, 2)), np.zeros(n + 1), np.zeros(len(self.signal_names))
-        self._q, self._v, self._command, self._force = np.zeros((4, n + 3))
-        self.action_spaces = {agent: Box(-1.0, 1.0, limit.shape, np.float32) for agent, limit in self._limits.items()}
+        self._q, self._v, self._action, self._command, self._force = np.zeros((5, n + 3))
+        parts = {"arm": slice(3, None), "base": slice(0, 3)}  # of all commands
+        self._parts, self._all_limits = {agent: parts[agent] for agent in self._sizes}, join_limits(scenario)
+        self.action_spaces = {agent: Box(-1.0, 1.0, limit.shape, np.float32) for agent, limit in largest.items()}
         self.joint_layout = make_layout(scenario)
         self.layouts = dict.fromkeys(scenario.agents, self.joint_layout)
         self._places = find_places(self.joint_layout)
@@ -98,13 +100,12 @@ class FloatingManipulatorTask:
         Raises:
             InputError: an agent without action, an unknown agent, or an action that is not its finite numbers.
         """
-        read = read_vectors(actions, self._sizes, "action")
-        controls = {name: np.minimum(np.maximum(read[name], -1.0), 1.0) * self._limits[name] for name in actions}
-        self._command[3:] = controls["arm"]
-        if "base" in controls:
-            self._command[:3] = controls["base"]
-        self._compute_forces(self._actuators, self._v, self._command, self._force)
-        return controls
+        read, action, command = read_vectors(actions, self._sizes, "action"), self._action, self._command
+        for agent, part in self._parts.items():
+            action[part] = read[agent]
+        self._scale_action(self._all_limits, action, command)
+        self._compute_forces(self._actuators, self._v, command, self._force)
+        return {agent: command[part].copy() for agent, part in self._parts.items()}
 
     def effort(self, action: np.ndarray) -> float:
         """Return an agent's effort in one control period (see `compute_effort`), in [0, 1]."""
@@ -197,6 +198,7 @@ class FloatingManipulatorTask:
         motion = np.zeros((bodies, 6)), self._q.copy(), self._v.copy()
         actuators, force = make_actuators(self.scenario, self._physics), self._force.copy()
         self._compute_forces = bind(compute_forces, actuators, self._v, self._command, force)
+        self._scale_action = bind(scale_action, self._all_limits, self._action, self._command.copy())
         self._read_coordinates = bind(read_coordinates, *motion)
         pair, work = (1.0, 1.0), (self._w, self._rates)
         self._write_signals = bind(write_signals, chain, pair, *motion, force[3:], pair, work, self._values)
@@ -204,7 +206,7 @@ class FloatingManipulatorTask:
         self._write_observation = bind(write_observation, *seen)
 
     def __getstate__(self) -> dict[str, Any]:
-        bound = ("_compute_forces", "_read_coordinates", "_write_signals", "_write_observation")
+        bound = ("_scale_action", "_compute_forces", "_read_coordinates", "_write_signals", "_write_observation")
         return {name: value for name, value in self.__dict__.items() if name not in bound}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
