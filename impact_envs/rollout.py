@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -170,7 +171,8 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         if on_step:
             on_step(env)
     scenario, diagnostics = env.scenario, policy.diagnostics()
-    traces = {name: np.array([sample[name] for sample in signals]) for name in signals[0]}
+    values = np.fromiter(chain.from_iterable(sample.values() for sample in signals), float)
+    traces = dict(zip(signals[0], values.reshape(len(signals), -1).T.copy(), strict=True))
     failed = env.failure is not None
     verdict = next(iter(infos.values()))
     return Episode(

@@ -48,6 +48,12 @@ def make_actuators(scenario: FloatingManipulatorScenario, physics: Physics) -> A
     )
 
 
+def join_limits(scenario: FloatingManipulatorScenario) -> np.ndarray:
+    """Return the commands of an action of 1 as `join_controls` orders them; 0 of a base that is not actuated."""
+    commands = scenario.largest_commands
+    return np.concatenate([commands.get("base", np.zeros(3)), commands["arm"]])
+
+
 def join_controls(controls: Mapping[str, np.ndarray], joints: int) -> np.ndarray:
     """Return the controls of all agents as one vector: Fx, Fy and torque on the base, then joint torques.
 
@@ -88,6 +94,19 @@ def compute_forces(actuators: Actuators, v: np.ndarray, command: np.ndarray, for
         force[2] = limit_torque(actuators.wheel_torque, actuators.wheel_speed, command[2], v[2])
     for j in range(3, len(command)):
         force[j] = limit_torque(actuators.stall_torque[j - 3], actuators.no_load_speed[j - 3], command[j], v[j])
+
+
+@compiled
+def scale_action(limits: np.ndarray, action: np.ndarray, command: np.ndarray) -> None:
+    """Scale an action, clipped to [-1, 1], to commands.
+
+    Args:
+        limits: commands of an action of 1, shape (n + 3,) [N], [N m].
+        action: of base and joints, shape (n + 3,).
+        command: result, shape (n + 3,) [N], [N m].
+    """
+    for i in range(len(limits)):
+        command[i] = min(max(action[i], -1.0), 1.0) * limits[i]
 
 
 @compiled

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.floating_manipulator.actuation import Actuators, compute_forces
 from impact_envs.floating_manipulator.events import HIT, RELEASED, advance_to_event
 from impact_envs.floating_manipulator.flow import Scratch, System, compute_opening, find_contact
 from impact_envs.physics.impact import compute_restitution, is_rebound
@@ -87,6 +88,34 @@ def advance_to_impact(
         if not is_finite(q, v):
             return LOST, Progress(t, touching, events)
     return ENDLESS, Progress(t, touching, events)
+
+
+@compiled
+def hold_controls(
+    system: System,
+    actuators: Actuators,
+    restitution: tuple[float, float],
+    command: np.ndarray,
+    force: np.ndarray,
+    q: np.ndarray,
+    v: np.ndarray,
+    period: float,
+    progress: Progress,
+    scratch: Scratch,
+    strike: np.ndarray,
+) -> tuple[int, Progress]:
+    """Compute the forces that controls bring, and advance (q, v) to the first impact or the end of the control period.
+
+    Args:
+        command: Fx, Fy and torque on the base, joint torques, shape (n + 3,) [N], [N m].
+        force: takes the forces, shape (m,) [N], [N m].
+        system, restitution, q, v, period, progress, scratch, strike: as for `advance_to_impact`.
+
+    Returns:
+        As `advance_to_impact`.
+    """
+    compute_forces(actuators, v, command, force)
+    return advance_to_impact(system, restitution, force, q, v, period, progress, scratch, strike)
 
 
 @compiled

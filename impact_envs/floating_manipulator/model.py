@@ -6,14 +6,17 @@ and torques from the commands and speeds at the start of a control period, and h
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from impact_envs.compiled import bind
 from impact_envs.errors import InputError, choices
 from impact_envs.failure import TooManyEvents
-from impact_envs.floating_manipulator.actuation import compute_forces, join_controls, make_actuators
+from impact_envs.floating_manipulator.actuation import make_actuators
 from impact_envs.floating_manipulator.collision import (
     ENDLESS,
     EVENTS,
@@ -21,6 +24,7 @@ from impact_envs.floating_manipulator.collision import (
     STRUCK,
     Progress,
     advance_to_impact,
+    hold_controls,
 )
 from impact_envs.floating_manipulator.flow import (
     compute_rows,
@@ -80,8 +84,11 @@ class FloatingManipulatorModel:
     def __init__(self, scenario: FloatingManipulatorScenario) -> None:
         self.scenario = scenario
         self._n = len(scenario.links)
-        self._scratch, self._strike = make_scratch(self._n), np.zeros(1, STRIKE)
+        self._period, self._goal = float(scenario.control_period), scenario.arm.goal
+        self._sizes = {agent: len(limits) for agent, limits in scenario.largest_commands.items()}
+        self._scratch, self._strike, self._command = make_scratch(self._n), np.zeros(1, STRIKE), np.zeros(self._n + 3)
         self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
+        self._bind()
 
     def reset(self, physics: Physics) -> None:
         """Put manipulator and box at rest at their start in a world with these physics.
@@ -102,7 +109,7 @@ class FloatingManipulatorModel:
     @property
     def time(self) -> float:
         """Return the time since reset [s]."""
-        return self._steps * self.scenario.control_period
+        return self._steps * self._period
 
     @property
     def torques(self) -> np.ndarray:
@@ -131,8 +138,8 @@ class FloatingManipulatorModel:
             shape (n + 4, 6) [m], [m/s], [rad], [rad/s]. Headings are not wrapped.
         """
         rows = np.zeros((self._n + 4, 6))
-        compute_rows(self._system, self._q, self._v, self._scratch, rows[:-1])
-        rows[-1, :2] = self.scenario.arm.goal
+        self._write_rows(self._system, self._q, self._v, self._scratch, rows[:-1])
+        rows[-1, :2] = self._goal
         return rows
 
     def set_state(self, states: np.ndarray) -> None:
@@ -163,14 +170,16 @@ class FloatingManipulatorModel:
             InputError: an agent without control, an unknown one, or a control of wrong shape or not finite.
             TooManyEvents: impacts do not end.
         """
-        agents = self.scenario.agents
-        if controls.keys() != set(agents):
-            wrong = ", ".join(sorted(controls.keys() ^ set(agents)))
+        agents = self._sizes
+        if controls.keys() != agents.keys():
+            wrong = ", ".join(sorted(controls.keys() ^ agents.keys()))
             raise InputError(
                 f"controls must name every agent once; wrong or missing: {wrong}; {choices(wrong, agents)}"
             )
-        self._actuate(controls)
-        self._advance(self.scenario.control_period)
+        self._read_controls(controls)
+        self._advance(self._period)
+        if self.scenario.wheel:
+            self.wheel_momentum -= self._force[2] * self._period
         self._steps += 1
         return [collision.impact for collision in self.collisions]
 
@@ -192,28 +201,46 @@ class FloatingManipulatorModel:
         box = (self._system.box_mass * (vx**2 + vy**2) + self._system.box_inertia * omega**2) / 2
         return np.array([compute_kinetic_energy(self._system.chain, self._v[:-3], w, rates), box])
 
-    def _actuate(self, controls: Mapping[str, np.ndarray]) -> None:
-        """Compute the forces held over the next control period from the commands."""
-        sizes = {"arm": self._n, "base": 3}
-        checked = {agent: _check_control(agent, control, sizes[agent]) for agent, control in controls.items()}
-        compute_forces(self._actuators, self._v, join_controls(checked, self._n), self._force)
-        if self.scenario.wheel:
-            self.wheel_momentum -= self._force[2] * self.scenario.control_period
+    def _read_controls(self, controls: Mapping[str, np.ndarray]) -> None:
+        """Write the commands held over the next control period."""
+        checked = {agent: _check_control(agent, controls[agent], size) for agent, size in self._sizes.items()}
+        self._command[3:] = checked["arm"]
+        if "base" in checked:
+            self._command[:3] = checked["base"]
 
     def _advance(self, period: float) -> None:
         """Advance the state by one control period, impact by impact."""
         self.collisions = []
-        progress, status = Progress(0.0, self._touching, 0), STRUCK
-        restitution = self.physics.restitution, self.physics.restitution_speed
+        progress = Progress(0.0, self._touching, 0)
+        status, progress = self._hold(*self._collect(period, progress))
         while status == STRUCK:
-            status, progress = advance_to_impact(
-                self._system, restitution, self._force, self._q, self._v, period, progress, self._scratch, self._strike
-            )
-            if status == STRUCK:
-                self.collisions.append(self._describe_collision())
+            self.collisions.append(self._describe_collision())
+            _, _, law, _, force, *rest = self._collect(period, progress)
+            status, progress = advance_to_impact(self._system, law, force, *rest)
         self._touching = progress.touching
         if status == ENDLESS:
             raise TooManyEvents(EVENTS)
+
+    def _collect(self, period: float, progress: Progress) -> tuple[Any, ...]:
+        """Return the arguments of `hold_controls`."""
+        law, state = (self.physics.restitution, self.physics.restitution_speed), (self._force, self._q, self._v)
+        work = self._scratch, self._strike
+        return self._system, self._actuators, law, self._command, *state, period, progress, *work
+
+    def _bind(self) -> None:
+        """Find the machine code of what runs in every control period; no time passes."""
+        self._hold = bind(hold_controls, *self._collect(0.0, Progress(0.0, False, 0)))
+        rows = np.zeros((self._n + 4, 6))
+        self._write_rows = bind(compute_rows, self._system, self._q, self._v, self._scratch, rows[:-1])
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in ("_hold", "_write_rows")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        force = self._force.copy()
+        self._bind()
+        self._force[:] = force
 
     def _describe_collision(self) -> Collision:
         """Return the impact that just happened."""
@@ -228,7 +255,8 @@ class FloatingManipulatorModel:
 def _check_control(agent: str, control: np.ndarray, size: int) -> np.ndarray:
     """Return a control as an array of a size; raise if it is none."""
     values = np.asarray(control, dtype=float)
-    if values.shape != (size,) or not np.isfinite(values).all():
+    fits = values.shape == (size,)
+    if not fits or (not math.isfinite(sum(values.tolist())) and not np.isfinite(values).all()):
         text = np.array2string(values, threshold=8).replace("\n", "")
         raise InputError(f"control of {agent} = {text}: {size} finite numbers are needed")
     return values

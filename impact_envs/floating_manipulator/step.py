@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
-from impact_envs.floating_manipulator.actuation import compute_forces
+from impact_envs.floating_manipulator.actuation import compute_forces, scale_action
 from impact_envs.floating_manipulator.collision import (
     DONE,
     ENDLESS,
@@ -98,12 +98,11 @@ def command_actuators(
     arena: Arena, worlds: Worlds, memory: Memory, scratch: StepScratch, actions: np.ndarray, k: int
 ) -> None:
     """Write the forces that world k's actions bring, and the torques that the formula speaks of."""
-    command, force, n = scratch.command, scratch.force, memory.torques.shape[1]
+    action, command, force, n = scratch.action, scratch.command, scratch.force, memory.torques.shape[1]
     for i in range(n + 3):
         place = i - 3 if i >= 3 else n + i
-        command[i] = 0.0
-        if place < actions.shape[1]:
-            command[i] = min(max(actions[k, place], -1.0), 1.0) * arena.limits[i]
+        action[i] = actions[k, place] if place < actions.shape[1] else 0.0
+    scale_action(arena.limits, action, command)
     actuators = view_actuators(arena, worlds, k)
     compute_forces(actuators, memory.v[k], command, force)
     for j in range(n):

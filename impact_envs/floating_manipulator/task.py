@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
 
 from impact_envs.agent_vectors import read_vectors
-from impact_envs.floating_manipulator.actuation import compute_forces, join_controls, make_actuators
+from impact_envs.compiled import bind
+from impact_envs.floating_manipulator.actuation import compute_forces, join_limits, make_actuators, scale_action
 from impact_envs.floating_manipulator.observation import find_places, make_layout, select_felt, write_observation
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
 from impact_envs.floating_manipulator.secrets import list_secrets, make_secrets_layout
@@ -52,19 +54,22 @@ class FloatingManipulatorTask:
 
     def __init__(self, scenario: FloatingManipulatorScenario) -> None:
         self.scenario = scenario
-        self._n = len(scenario.links)
-        self._limits = scenario.largest_commands
-        self._sizes = {name: len(limits) for name, limits in self._limits.items()}
+        n = len(scenario.links)
+        self._horizon = float(scenario.horizon)
+        largest = scenario.largest_commands
+        self._sizes = {name: len(limits) for name, limits in largest.items()}
         true = scenario.true
         self._noise = np.array(
             [true.position_noise] * 2 + [true.speed_noise] * 2 + [true.heading_noise, true.rate_noise]
         )
+        self._is_noisy = bool(self._noise.any())
         states = [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS]
         self.signal_names = (*states, *scenario.extra_signals)
-        self._w, self._rates = np.zeros((self._n + 1, 2)), np.zeros(self._n + 1)
-        self._values = np.zeros(len(self.signal_names))
-        self._q, self._v = np.zeros(self._n + 3), np.zeros(self._n + 3)
-        self.action_spaces = {agent: Box(-1.0, 1.0, limit.shape, np.float32) for agent, limit in self._limits.items()}
+        self._w, self._rates, self._values = np.zeros((n + 1, 2)), np.zeros(n + 1), np.zeros(len(self.signal_names))
+        self._q, self._v, self._action, self._command, self._force = np.zeros((5, n + 3))
+        parts = {"arm": slice(3, None), "base": slice(0, 3)}  # of all commands
+        self._parts, self._all_limits = {agent: parts[agent] for agent in self._sizes}, join_limits(scenario)
+        self.action_spaces = {agent: Box(-1.0, 1.0, limit.shape, np.float32) for agent, limit in largest.items()}
         self.joint_layout = make_layout(scenario)
         self.layouts = dict.fromkeys(scenario.agents, self.joint_layout)
         self._places = find_places(self.joint_layout)
@@ -72,6 +77,8 @@ class FloatingManipulatorTask:
         self.observation_spaces = dict.fromkeys(scenario.agents, self.joint_observation_space)
         self.state_layout = Layout(*((body, MOTION) for body in scenario.bodies))
         self.secrets_layout = make_secrets_layout(scenario)
+        self._physics = scenario.as_believed().draw(np.random.default_rng(0))
+        self._bind()
 
     def reset(self, physics: Physics, states: np.ndarray, rng: np.random.Generator) -> None:
         """Start an episode.
@@ -82,7 +89,8 @@ class FloatingManipulatorTask:
             rng: the episode's generator.
         """
         self._physics, self._actuators = physics, make_actuators(self.scenario, physics)
-        self._torques, self._impulse, self._since, self._samples = np.zeros(self._n), 0.0, self.scenario.horizon, 0
+        self._impulse, self._since, self._samples = 0.0, self._horizon, 0
+        self._force[:] = 0.0
         self._hit: float | None = None
         self._rng = rng
         self._measured: deque[tuple[np.ndarray, bool]] = deque(maxlen=self.scenario.true.delay_steps + 1)
@@ -94,12 +102,12 @@ class FloatingManipulatorTask:
         Raises:
             InputError: an agent without action, an unknown agent, or an action that is not its finite numbers.
         """
-        read = read_vectors(actions, self._sizes, "action")
-        controls = {name: np.minimum(np.maximum(read[name], -1.0), 1.0) * self._limits[name] for name in actions}
-        force = np.empty(self._n + 3)
-        compute_forces(self._actuators, self._v, join_controls(controls, self._n), force)
-        self._torques = force[3:]
-        return controls
+        read, action, command = read_vectors(actions, self._sizes, "action"), self._action, self._command
+        for agent, part in self._parts.items():
+            action[part] = read[agent]
+        self._scale_action(self._all_limits, action, command)
+        self._compute_forces(self._actuators, self._v, command, self._force)
+        return {agent: command[part].copy() for agent, part in self._parts.items()}
 
     def effort(self, action: np.ndarray) -> float:
         """Return an agent's effort in one control period (see `compute_effort`), in [0, 1]."""
@@ -143,7 +151,7 @@ class FloatingManipulatorTask:
         """Return the observation, which is each agent's too."""
         vector = np.empty(self.joint_observation_space.shape)
         states, contact = self._measured[0]
-        write_observation(states, contact, time / self.scenario.horizon, bounds, self._places, vector)
+        self._write_observation(states, contact, time / self._horizon, bounds, self._places, vector)
         return vector
 
     def signals(self, states: np.ndarray) -> dict[str, float]:
@@ -154,7 +162,8 @@ class FloatingManipulatorTask:
         """
         physics, felt = self._physics, (self._impulse, self._since)
         box, work = (physics.box_mass, physics.box_inertia), (self._w, self._rates)
-        write_signals(physics.chain, box, states, self._q, self._v, self._torques, felt, work, self._values)
+        known = self._q, self._v, self._force[3:], felt, work, self._values
+        self._write_signals(physics.chain, box, states, *known)
         return dict(zip(self.signal_names, self._values.tolist(), strict=True))
 
     def signal_bounds(self) -> dict[str, tuple[float, float]]:
@@ -189,6 +198,27 @@ class FloatingManipulatorTask:
         """Return nothing: the links are shapes."""
         return {}
 
+    def _bind(self) -> None:
+        """Find the machine code of what runs in every control period."""
+        chain, (bodies, size) = self._physics.chain, (len(self.scenario.bodies), self.joint_layout.size)
+        motion = np.zeros((bodies, 6)), self._q.copy(), self._v.copy()
+        actuators, force = make_actuators(self.scenario, self._physics), self._force.copy()
+        self._compute_forces = bind(compute_forces, actuators, self._v, self._command, force)
+        self._scale_action = bind(scale_action, self._all_limits, self._action, self._command.copy())
+        self._read_coordinates = bind(read_coordinates, *motion)
+        pair, work = (1.0, 1.0), (self._w, self._rates)
+        self._write_signals = bind(write_signals, chain, pair, *motion, force[3:], pair, work, self._values)
+        seen = motion[0], False, 0.0, pair, self._places, np.zeros(size)
+        self._write_observation = bind(write_observation, *seen)
+
+    def __getstate__(self) -> dict[str, Any]:
+        bound = ("_scale_action", "_compute_forces", "_read_coordinates", "_write_signals", "_write_observation")
+        return {name: value for name, value in self.__dict__.items() if name not in bound}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._bind()
+
     def _goal_shapes(self) -> list[Shape]:
         """Return the goal as discs whose radii are the formula's bounds on the distance of tip and target."""
         x, y = self.scenario.arm.goal
@@ -202,9 +232,9 @@ class FloatingManipulatorTask:
 
     def _store_sample(self, states: np.ndarray, contact: bool) -> None:
         """Store the true coordinates of the manipulator, and the measurement that is observed after the delay."""
-        read_coordinates(states, self._q, self._v)
+        self._read_coordinates(states, self._q, self._v)
         measured = states.copy()
-        if self._noise.any():
+        if self._is_noisy:
             measured[:-1] += self._noise * self._rng.standard_normal((len(states) - 1, 6))
         self._measured.append((measured, contact))
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
-from impact_envs.floating_manipulator.actuation import Actuators, make_actuators
+from impact_envs.floating_manipulator.actuation import Actuators, join_limits, make_actuators
 from impact_envs.floating_manipulator.collision import STRIKE
 from impact_envs.floating_manipulator.flow import Scratch, System, make_scratch, make_system
 from impact_envs.floating_manipulator.observation import Places, find_places, make_layout
@@ -136,12 +136,13 @@ class StepScratch(NamedTuple):
     Attributes:
         flow: of the motion.
         strike: the last impact, a STRIKE, shape (1,).
-        command: Fx, Fy and torque on the base, joint torques, shape (n + 3,) [N], [N m].
+        action, command: of Fx, Fy and torque on the base, and of joint torques, shape (n + 3,) [-], [N], [N m].
         force: on all coordinates, shape (n + 6,) [N], [N m].
     """
 
     flow: Scratch
     strike: np.ndarray
+    action: np.ndarray
     command: np.ndarray
     force: np.ndarray
 
@@ -153,11 +154,7 @@ def make_arena(scenario: FloatingManipulatorScenario, last: int) -> Arena:
         scenario: of the worlds.
         last: control periods after which an episode is truncated.
     """
-    physics, commands, true = (
-        scenario.as_believed().draw(np.random.default_rng(0)),
-        scenario.largest_commands,
-        scenario.true,
-    )
+    physics, true = scenario.as_believed().draw(np.random.default_rng(0)), scenario.true
     noise = [true.position_noise] * 2 + [true.speed_noise] * 2 + [true.heading_noise, true.rate_noise]
     return Arena(
         believed=make_system(scenario, physics),
@@ -165,7 +162,7 @@ def make_arena(scenario: FloatingManipulatorScenario, last: int) -> Arena:
         at=find_places(make_layout(scenario)),
         start=scenario.start,
         goal=np.array(scenario.arm.goal, dtype=float),
-        limits=np.concatenate([commands.get("base", np.ones(3)), commands["arm"]]),
+        limits=join_limits(scenario),
         noise=np.array(noise, dtype=float),
         is_noisy=any(noise),
         drives_base="base" in scenario.agents,
@@ -220,7 +217,7 @@ def make_memory(arena: Arena, count: int, delay: int, monitor: int) -> Memory:
 def make_step_scratch(arena: Arena) -> StepScratch:
     """Allocate the working arrays of one thread."""
     m = len(arena.start)
-    return StepScratch(make_scratch(m - 3), np.zeros(1, STRIKE), np.zeros(m), np.zeros(m + 3))
+    return StepScratch(make_scratch(m - 3), np.zeros(1, STRIKE), np.zeros(m), np.zeros(m), np.zeros(m + 3))
 
 
 class Drawn:

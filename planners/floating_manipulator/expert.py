@@ -75,7 +75,8 @@ class FloatingManipulatorExpert:
         self._joint, self._values = np.zeros((1, size)), np.zeros((1, self.feature_size))
         self._actions = np.zeros((1, n + 3 if len(self._agents) > 1 else n))
         self._arrays = table, self.memory, record, make_expert_scratch(table), self._joint, self._values, self._actions
-        self._parts = {"arm": slice(0, n), "base": slice(n, n + 3)}
+        parts = {"arm": slice(0, n), "base": slice(n, n + 3)}
+        self._parts = {agent: parts[agent] for agent in self._agents}
         self._bind()
         self.reset(0)
 
@@ -96,8 +97,8 @@ class FloatingManipulatorExpert:
 
     def act(self, observations: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return each agent's action in [-1, 1] for its observation."""
-        self.observe(observations)
-        return self.control()
+        self._read(observations)
+        return self._act(OBSERVE | CONTROL)
 
     def diagnostics(self) -> Diagnostics:
         """Return computing times and fallbacks since reset."""
@@ -115,7 +116,7 @@ class FloatingManipulatorExpert:
         Raises:
             InputError: an agent is missing or unknown, or an observation has another shape.
         """
-        self._joint[0] = read_vectors(observations, self._sizes, "observation", finite=False)[self._agents[0]]
+        self._read(observations)
         begin = time.perf_counter()
         self._run(OBSERVE)
         self._seconds = time.perf_counter() - begin
@@ -156,8 +157,7 @@ class FloatingManipulatorExpert:
 
     def control(self) -> dict[str, np.ndarray]:
         """Return each agent's action in [-1, 1]; none, which is counted, where a control is no number."""
-        self._control()
-        return {agent: self._actions[0, self._parts[agent]].copy() for agent in self._agents}
+        return self._act(CONTROL)
 
     def compute_controls(self) -> dict[str, np.ndarray]:
         """Compute the controls of one step.
@@ -166,21 +166,28 @@ class FloatingManipulatorExpert:
             ``arm``: joint torques, shape (n,) [N m]; where the base is actuated, ``base``: forces along the world's
             axes and torque, shape (3,) [N], [N m]. The actuators apply their limits and on/off switching.
         """
-        self._control()
+        self._act(CONTROL)
         command = self.memory.command[0]
         controls = {"arm": command[3:].copy(), "base": command[:3].copy()}
         return {agent: controls[agent] for agent in self._agents}
 
-    def _control(self) -> None:
+    def _read(self, observations: Mapping[str, np.ndarray]) -> None:
+        seen = read_vectors(observations, self._sizes, "observation", finite=False)
+        self._joint[0] = seen[self._agents[0]]
+        self._seconds = 0.0
+
+    def _act(self, parts: int) -> dict[str, np.ndarray]:
+        """Do the last parts of a control period; return each agent's action."""
         begin = time.perf_counter()
-        self._run(CONTROL)
+        self._run(parts)
         self._solve_seconds.append(self._seconds + time.perf_counter() - begin)
+        return {agent: self._actions[0, part].copy() for agent, part in self._parts.items()}
 
     def _bind(self) -> None:
         self._call = bind(run_experts, *self._arrays, START, 0, 0)  # of no world
 
-    def _run(self, phase: int) -> None:
-        self._call(*self._arrays, phase, 0, 1)
+    def _run(self, parts: int) -> None:
+        self._call(*self._arrays, parts, 0, 1)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_call"}

@@ -15,7 +15,7 @@ from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from planners.correction import spread_corrections
 from planners.floating_manipulator.correction import get_correction_size, get_feature_size
 from planners.floating_manipulator.options import Options, get_options, make_record
-from planners.floating_manipulator.world_loop import ACT, CONTROL, CORRECT, FEATURES, FOLLOW, START, run_experts
+from planners.floating_manipulator.world_loop import CONTROL, CORRECT, FEATURES, FOLLOW, OBSERVE, START, run_experts
 from planners.floating_manipulator.world_memory import (
     COUNTERS,
     make_expert_memory,
@@ -90,7 +90,7 @@ class FloatingManipulatorExpertBatch:
             InputError: observations of another shape.
         """
         actions = np.empty((self.count, self._action_size))
-        self._run(ACT, joint=self._check(observations), actions=actions)
+        self._run(FOLLOW | OBSERVE | CONTROL, joint=self._check(observations), actions=actions)
         return actions
 
     def observe(self, observations: np.ndarray) -> np.ndarray:
@@ -105,7 +105,7 @@ class FloatingManipulatorExpertBatch:
         Raises:
             InputError: observations of another shape.
         """
-        self._run(FOLLOW, joint=self._check(observations))
+        self._run(FOLLOW | OBSERVE, joint=self._check(observations))
         return self.awaiting_correction
 
     @property
@@ -162,12 +162,12 @@ class FloatingManipulatorExpertBatch:
     def _bind(self) -> None:
         self._call = bind(run_experts, *self.collect(0), NONE, NONE, NONE, START, 0, 0)  # of no world
 
-    def _run(self, phase: int, joint: np.ndarray = NONE, values: np.ndarray = NONE, actions: np.ndarray = NONE) -> None:
-        """Do one part of the control period of all worlds."""
+    def _run(self, parts: int, joint: np.ndarray = NONE, values: np.ndarray = NONE, actions: np.ndarray = NONE) -> None:
+        """Do parts of the control period of all worlds."""
 
         def share(thread: int) -> None:
             first, end = thread * self.count // self.threads, (thread + 1) * self.count // self.threads
-            self._call(*self.collect(thread), joint, values, actions, phase, first, end)
+            self._call(*self.collect(thread), joint, values, actions, parts, first, end)
 
         if self.threads == 1:
             share(0)

@@ -31,23 +31,9 @@ from planners.floating_manipulator.world_memory import (
     start_world,
 )
 
-# What run_experts does with worlds.
-START, OBSERVE, FOLLOW, UPDATE, CORRECT, FEATURES, CONTROL, ACT = range(8)
-
-
-@compiled
-def observe_world(
-    table: ExpertTable, memory: ExpertMemory, options: Options, scratch: ExpertScratch, k: int, joint: np.ndarray
-) -> None:
-    """Read world k's measurements, and decide on its phase and whether a correction is awaited.
-
-    Args:
-        joint: observations, shape (N, 2 n + 22).
-    """
-    read_observation(table, memory, k, joint)
-    check_readings(table, memory, options, scratch, k)
-    update_phase(table, memory, options, scratch, k)
-    await_correction(table, memory, options, scratch, k)
+# What run_experts does with worlds, in bits.
+START, OBSERVE, UPDATE, CORRECT, FEATURES, CONTROL = (1 << part for part in range(6))
+FOLLOW = 1 << 6  # start with the first observation of an episode
 
 
 @compiled
@@ -185,11 +171,11 @@ def run_experts(
     joint: np.ndarray,
     values: np.ndarray,
     actions: np.ndarray,
-    phase: int,
+    parts: int,
     first: int,
     end: int,
 ) -> None:
-    """Do one part of the control period of the worlds from first to before end.
+    """Do parts of the control period of the worlds from first to before end.
 
     Args:
         options: see `options.make_record`.
@@ -197,23 +183,24 @@ def run_experts(
         joint: observations, shape (N, 2 n + 22).
         values: written by FEATURES, shape (N, 2 n + 27); CORRECT reads corrections from its first columns, NaN where
             there is none.
-        actions: written by CONTROL and ACT, shape (N, n) or (N, n + 3).
-        phase: START; OBSERVE; FOLLOW: observe, and start with the first observation of an episode; UPDATE: what comes
-            after a measurement that stands in the memory; CORRECT; FEATURES; CONTROL; ACT: follow and control.
+        actions: written by CONTROL, shape (N, n) or (N, n + 3).
+        parts: sum of what is done in this order: START or FOLLOW; OBSERVE or UPDATE, what comes after a measurement
+            that stands in the memory; CORRECT; FEATURES; CONTROL.
     """
     chosen = options[0]
     for k in range(first, end):
-        if phase == START or (phase in (FOLLOW, ACT) and is_start(table, joint, k)):
+        if parts & START or (parts & FOLLOW and is_start(table, joint, k)):
             start_world(table, memory, k)
-        if phase in (OBSERVE, FOLLOW, ACT):
-            observe_world(table, memory, chosen, scratch, k, joint)
-        elif phase == UPDATE:
+        if parts & OBSERVE:
+            read_observation(table, memory, k, joint)
+            check_readings(table, memory, chosen, scratch, k)
+        if parts & (OBSERVE | UPDATE):
             update_phase(table, memory, chosen, scratch, k)
             await_correction(table, memory, chosen, scratch, k)
-        elif phase == CORRECT and not math.isnan(values[k, 0]):
+        if parts & CORRECT and not math.isnan(values[k, 0]):
             correct_world(table, memory, chosen, k, values[k])
-        elif phase == FEATURES:
+        if parts & FEATURES:
             write_features(table, memory, scratch, k, values[k])
-        if phase in (CONTROL, ACT):
+        if parts & CONTROL:
             control_world(table, memory, chosen, scratch, k)
             write_action(table, memory, k, actions)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
-from impact_envs.floating_manipulator.actuation import Actuators, make_actuators
+from impact_envs.floating_manipulator.actuation import Actuators, join_limits, make_actuators
 from impact_envs.floating_manipulator.flow import Scratch, System, make_scratch, make_system
 from impact_envs.floating_manipulator.observation import Places, find_places, make_layout
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
@@ -161,7 +161,6 @@ def make_expert_table(scenario: FloatingManipulatorScenario, options: Options) -
     physics = scenario.draw(np.random.default_rng(0))  # as believed: nothing is drawn
     drives_base = "base" in scenario.agents
     compensated = options.compensated and drives_base
-    commands = scenario.largest_commands
     arm_gate, box_gate = make_gates(scenario, options.readings)
     return ExpertTable(
         system=make_system(scenario, physics),
@@ -169,7 +168,7 @@ def make_expert_table(scenario: FloatingManipulatorScenario, options: Options) -
         at=find_places(make_layout(scenario)),
         start=scenario.start,
         goal=np.array(scenario.arm.goal, dtype=float),
-        limits=np.concatenate([commands.get("base", np.ones(3)), commands["arm"]]),
+        limits=join_limits(scenario),
         arm_gate=arm_gate,
         box_gate=box_gate,
         horizon=float(scenario.horizon),
