@@ -40,7 +40,7 @@ OURS = "ours"
 SHORT = 5  # the interim phase is short, its programs are solved more often: a tick just after them finds cold caches
 PHASES = ("ante", "interim", "post")
 NOTES = """\
-ours: the whole control tick, from measured joints and forces to torques: phases, dynamics, references, assembly, solver.
+ours: the whole control tick, from measured joints and forces to torques: phases, dynamics, references, program, solver.
 others: the program that this tick assembled, handed over and solved; its assembly, and for cvxpy the Cholesky factor of
   H, are not timed. cvxpy is parametrised (DPP) and compiled once; OSQP has tolerance 1e-6, Clarabel its own.
 times: CPU time of the thread, which says more on a busy machine; wall beside it.

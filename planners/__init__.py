@@ -115,13 +115,13 @@ def make_expert_batch(
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario; of discs.
         count: how many worlds.
-        plan: to execute; by default planned now.
+        plan: to execute; by default planned now, where the domain has a planner.
         variant: what the expert is compared with, see list_variants.
         options: as make_expert.
         threads: that share the worlds.
 
     Returns:
-        A FreeFlyerExpertBatch; world k acts as make_expert's policy does.
+        The domain's batch of experts, as FreeFlyerExpertBatch; world k acts as make_expert's policy does.
 
     Raises:
         InputError, PlanningError: as make_expert; InputError also for a domain whose expert knows one world only.
@@ -131,6 +131,10 @@ def make_expert_batch(
     if make is None:
         raise InputError(f"scenario '{loaded.name}': the expert of domain '{loaded.domain}' knows one world only")
     arguments = _choose(loaded, variant, options)
+    if not has_planner(loaded):
+        if plan is not None:
+            check_planned(loaded)
+        return make(loaded.as_believed(), count, **arguments, threads=threads)
     if plan is None:
         plan = make_plan(loaded)
     else:

@@ -10,9 +10,9 @@ from gymnasium.spaces import Box
 
 from impact_envs.agent_vectors import read_vectors
 from impact_envs.dual_arm.arm import compute_pose
-from impact_envs.dual_arm.model import FORCES, JOINTS, KEPT, RATES, WIDTH
 from impact_envs.dual_arm.observation import ARM, make_joint_layout, make_layout
 from impact_envs.dual_arm.schema import DualArmScenario, Physics
+from impact_envs.dual_arm.world import FORCES, JOINTS, KEPT, RATES, WIDTH
 from impact_envs.observation import make_unbounded_space
 from impact_envs.physics.impact import Impact
 from impact_envs.reward import compute_effort

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
 import numpy as np
 
+from impact_envs.batch_size import check_size
 from impact_envs.compiled import announce
 from impact_envs.domain import load_attribute
 from impact_envs.errors import InputError
@@ -320,18 +320,3 @@ def make_batch(
         return Batch(scenario, count, max_cycles, dtype, threads)
     make_gpu_batch = load_attribute("impact_envs.free_flyer.gpu:GpuBatch")  # by name, because it is made of a Batch
     return make_gpu_batch(scenario, count, max_cycles, dtype)
-
-
-def check_size(count: int, size: int) -> None:
-    """Raise unless so many worlds of a size in bytes exist and fit into half of the machine's memory.
-
-    Raises:
-        InputError: naming the count and how many fit.
-    """
-    if count < 1:
-        raise InputError(f"num_envs = {count}: at least 1 world is needed")
-    fits = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (2 * size)
-    if count > fits:
-        raise InputError(
-            f"num_envs = {count}: {size} bytes per world; half of this machine's memory holds {fits} worlds"
-        )

@@ -17,9 +17,10 @@ import numpy as np
 import torch
 from numba import config, cuda, float64, int64, typeof, types
 
+from impact_envs.batch_size import check_size
 from impact_envs.compiled import retarget
 from impact_envs.errors import InputError
-from impact_envs.free_flyer.batch import Batch, BatchViews, check_size
+from impact_envs.free_flyer.batch import Batch, BatchViews
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.free_flyer.step import LEAVE, START, STEP, Memory, Output, run_range
 from impact_envs.free_flyer.worlds import REST, Scratch, Worlds, write_physics

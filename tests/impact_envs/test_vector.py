@@ -437,7 +437,7 @@ def test_what_the_exact_engine_does_not_take_is_refused():
         make_worlds("coridor")
 
 
-@pytest.mark.parametrize("name", ["dual_arm_grasp", "floating_manipulator"])
+@pytest.mark.parametrize("name", ["floating_manipulator"])
 def test_other_domains_are_refused(name):
     with pytest.raises(InputError, match=f"scenario '{name}': domain '.*' has no batched engine"):
         vector_env(name, 2)
