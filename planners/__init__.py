@@ -121,7 +121,7 @@ def make_expert_batch(
         threads: that share the worlds.
 
     Returns:
-        The domain's batch of experts, as FreeFlyerExpertBatch; world k acts as make_expert's policy does.
+        The domain's batch of experts; world k acts as make_expert's policy does.
 
     Raises:
         InputError, PlanningError: as make_expert; InputError also for a domain whose expert knows one world only.

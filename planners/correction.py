@@ -27,3 +27,32 @@ def check_correction(correction: np.ndarray, size: int, awaited: bool) -> np.nda
     if not awaited:
         raise InputError("no correction is awaited now; see awaiting_correction")
     return np.clip(values, -1.0, 1.0)
+
+
+def spread_corrections(worlds: np.ndarray, corrections: np.ndarray, awaiting: np.ndarray, size: int) -> np.ndarray:
+    """Return the corrections of some of N worlds, clipped to [-1, 1], in the rows of these worlds; NaN in the others.
+
+    Args:
+        worlds: whose are given: a mask, shape (N,) bool, or their numbers, shape (m,).
+        corrections: shape (m, size).
+        awaiting: which worlds await one, shape (N,) bool.
+        size: length that the expert takes.
+
+    Returns:
+        Shape (N, size).
+
+    Raises:
+        InputError: another shape, a value that is not finite, or a world that awaits none; the first world is named.
+    """
+    chosen, values = np.arange(len(awaiting))[np.asarray(worlds)], np.asarray(corrections, dtype=float)
+    needed = len(chosen), size
+    if values.shape != needed:
+        raise InputError(f"corrections of shape {values.shape}: finite numbers of shape {needed} are needed")
+    for k in chosen[~awaiting[chosen]].tolist():
+        raise InputError(f"world {k} awaits no correction now; see awaiting_correction")
+    for k, row in zip(chosen.tolist(), values, strict=True):
+        if not np.isfinite(row).all():
+            raise InputError(f"correction of world {k} must be {size} finite numbers, got {row}")
+    spread = np.full((len(awaiting), size), np.nan)
+    spread[chosen] = np.clip(values, -1.0, 1.0)
+    return spread

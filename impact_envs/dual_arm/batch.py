@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 from gymnasium.utils import seeding
 
-from impact_envs.batch_size import check_size
+from impact_envs.capacity import check_size
 from impact_envs.compiled import announce
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.dual_arm.step import (
@@ -42,11 +42,18 @@ class DualArmBatch:
         dtype: of what is returned; all else is float64.
         threads: that share the worlds.
 
+    Attributes:
+        robots, bodies: numbers of arms, and of arms and boxes.
+        action_shape: of one world's actions.
+        joint_size, agent_size: lengths of the joint observation and of an arm's own.
+        task: of every world.
+
     Raises:
         InputError: too many worlds for the memory, or a count below 1.
     """
 
     robots, bodies = 2, 3
+    action_shape = (2, 3)
 
     def __init__(
         self,
@@ -57,7 +64,7 @@ class DualArmBatch:
         threads: int = 1,
     ) -> None:
         self.scenario, self.count, self.dtype = scenario, count, dtype
-        task = DualArmTask(scenario)
+        self.task = task = DualArmTask(scenario)
         self._formula = compile_formula(
             scenario.specification,
             scenario.control_period,
@@ -132,6 +139,11 @@ class DualArmBatch:
     def over(self) -> np.ndarray:
         """Return which episodes are at their end, shape (N,)."""
         return (self.steps >= self._last) | self.failed
+
+    @property
+    def decided(self) -> np.ndarray:
+        """Return where nothing follows: at the horizon, or failed, shape (N,)."""
+        return (self.steps >= self.scenario.steps) | self.failed
 
     def describe_failures(self) -> np.ndarray:
         """Return why each world failed, "" where it did not, shape (N,) of texts."""

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from impact_envs.batch_size import check_size
+from impact_envs.capacity import check_size
 from impact_envs.compiled import announce
 from impact_envs.domain import load_attribute
 from impact_envs.errors import InputError

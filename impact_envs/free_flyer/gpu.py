@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from numba import config, cuda, float64, int64, typeof, types
 
-from impact_envs.batch_size import check_size
+from impact_envs.capacity import check_size
 from impact_envs.compiled import retarget
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.batch import Batch, BatchViews

@@ -12,6 +12,7 @@ from impact_envs.compiled import announce
 from impact_envs.dual_arm.observation import ARM, make_joint_layout
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.errors import InputError
+from planners.correction import spread_corrections
 from planners.dual_arm.control_memory import make_control, make_law, make_scratch
 from planners.dual_arm.dense_qp import COMPILED
 from planners.dual_arm.expert_memory import CORRECTION_SIZE, FEATURE_SIZE, make_expert_memory, make_rules
@@ -120,27 +121,24 @@ class DualArmExpertBatch:
         self._run(FEATURES, features, features)
         return features
 
-    def correct(self, worlds: np.ndarray, corrections: np.ndarray) -> None:
-        """Set the corrections of some worlds.
+    def correct(self, worlds: np.ndarray, corrections: np.ndarray) -> np.ndarray:
+        """Set the corrections of grip and load of some worlds, as DualArmExpert does.
 
         Args:
-            worlds: a mask, shape (N,).
-            corrections: of these worlds in their order, clipped to [-1, 1], shape (m, 2).
+            worlds: that await one: a mask, shape (N,) bool, or their numbers, shape (m,).
+            corrections: clipped to [-1, 1], shape (m, 2); zero changes nothing, bit for bit.
+
+        Returns:
+            Which worlds still await a correction, shape (N,) bool.
 
         Raises:
-            InputError: of another shape, not finite, or for a world that awaits none.
+            InputError: another shape, a value that is not finite, or a world that awaits none.
         """
-        mask, values = np.asarray(worlds), np.asarray(corrections, dtype=float)
-        if mask.shape != (self.count,) or mask.dtype != bool:
-            raise InputError(f"worlds of shape {mask.shape}, {mask.dtype}: {self.count} truth values are needed")
-        if values.shape != (int(mask.sum()), CORRECTION_SIZE) or not np.isfinite(values).all():
-            needed = f"finite numbers of shape ({int(mask.sum())}, {CORRECTION_SIZE}) are needed"
-            raise InputError(f"corrections have shape {values.shape}; {needed}")
-        idle = np.flatnonzero(mask & ~self.awaiting_correction)
-        if len(idle):
-            raise InputError(f"no correction is awaited now in world {idle[0]}; see awaiting_correction")
-        self._expert["answer"][mask] = np.clip(values, -1.0, 1.0)
-        self._expert["awaiting"][mask] = 0
+        spread = spread_corrections(worlds, corrections, self.awaiting_correction, CORRECTION_SIZE)
+        given = ~np.isnan(spread[:, 0])
+        self._expert["answer"][given] = spread[given]
+        self._expert["awaiting"][given] = 0
+        return self.awaiting_correction
 
     def control(self) -> np.ndarray:
         """Return every world's joint action, in [-1, 1], shape (N, 6)."""

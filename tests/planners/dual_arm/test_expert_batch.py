@@ -11,6 +11,17 @@ from impact_envs.errors import InputError
 from planners import make_expert, make_expert_batch
 
 NAME, SEED = "dual_arm_grasp", 1_000_000
+SUITES = (
+    "nominal",
+    "box_pose",
+    "mass",
+    "friction",
+    "contact_stiffness",
+    "joint_stiffness",
+    "start_pose",
+    "all",
+    "hard",
+)
 # Ends a third of a second after the grasp.
 SHORT = load_scenario(NAME).override({"horizon": 1.2, "formula": "G[0,1.2] box.lag <= 0.015"})
 
@@ -81,7 +92,7 @@ def test_worlds_act_as_the_single_expert_with_random_corrections(suite):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suite", list(load_scenario(NAME).suites))
+@pytest.mark.parametrize("suite", SUITES)
 def test_whole_episodes_of_many_worlds_equal_the_single_expert(suite):
     check_equal(load_scenario(NAME).suite(suite), 10, threads=2)
 
@@ -137,12 +148,10 @@ def test_bad_input_is_refused():
     experts = make_expert_batch(SHORT, 2)
     with pytest.raises(InputError, match=r"real numbers of shape \(2, 31\) are needed"):
         experts.act(np.zeros((2, 30)))
-    with pytest.raises(InputError, match="no correction is awaited now in world 1"):
+    with pytest.raises(InputError, match="world 1 awaits no correction now"):
         experts.correct(np.array([False, True]), np.zeros((1, 2)))
-    with pytest.raises(InputError, match=r"corrections have shape \(2,\); finite numbers of shape \(1, 2\)"):
+    with pytest.raises(InputError, match=r"corrections of shape \(2,\): finite numbers of shape \(1, 2\)"):
         experts.correct(np.array([False, True]), np.zeros(2))
-    with pytest.raises(InputError, match="2 truth values are needed"):
-        experts.correct(np.array([1]), np.zeros((1, 2)))
     with pytest.raises(InputError, match=r"expert\.solver = daqp: many worlds at once take goldfarb_idnani only"):
         make_expert_batch(SHORT, 2, options={"solver": "daqp"})
     with pytest.raises(InputError, match="at least 1 world is needed"):
