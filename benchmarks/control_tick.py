@@ -1,4 +1,4 @@
-"""Time a control tick of two arms beside the same programs through cvxpy and OSQP: one run, taking turns, one thread.
+"""Time two arms' control: a tick beside the same programs by other solvers, and whole episodes; one run, one thread.
 
     OMP_NUM_THREADS=1 python benchmarks/control_tick.py --repeats 5 --out control_tick.json
 
@@ -25,18 +25,21 @@ import numpy as np
 import tyro
 from scipy import sparse
 
+from impact_envs import parallel_env, rollout, vector_env
 from impact_envs.dual_arm.model import DualArmModel
 from impact_envs.dual_arm.plant import NORMAL
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.errors import InputError
 from impact_envs.scenario import load_scenario
-from planners.dual_arm.dense_qp import get_solver
+from planners import make_expert, make_expert_batch
+from planners.dual_arm.dense_qp import COMPILED, get_solver
 from planners.dual_arm.expert import DualArmExpert
 from planners.dual_arm.reference_spreading import ReferenceSpreading
 from planners.dual_arm.torque_qp import EQUALITIES, FREE, GRASP, QDD, TorqueQP, make_torque_qp
 
 TOLERANCE, MOST_ITERATIONS = 1e-6, 20_000  # of OSQP, absolute and relative
 OURS = "ours"
+SEED = 1_000_000  # of the episodes, among those for tuning
 SHORT = 5  # the interim phase is short, its programs are solved more often: a tick just after them finds cold caches
 PHASES = ("ante", "interim", "post")
 NOTES = """\
@@ -44,7 +47,9 @@ ours: the whole control tick, from measured joints and forces to torques: phases
 others: the program that this tick assembled, handed over and solved; its assembly, and for cvxpy the Cholesky factor of
   H, are not timed. cvxpy is parametrised (DPP) and compiled once; OSQP has tolerance 1e-6, Clarabel its own.
 times: CPU time of the thread, which says more on a busy machine; wall beside it.
-off: greatest difference of a torque from ours."""
+off: greatest difference of a torque from ours.
+episodes: physics, observations, robustness and expert from reset to the end; CPU time of one world's episode, the least
+  of the repeats; realtime: the horizon over that."""
 
 Tick = tuple[np.ndarray, np.ndarray, np.ndarray]  # joint angles and rates, forces
 Shape = tuple[int, int]  # of a program
@@ -62,6 +67,8 @@ class Args:
     """Times that the episode is controlled again."""
     every: int = 20
     """The peers solve the program of every so many ticks; in the interim phase of every fifth."""
+    worlds: int = 32
+    """Worlds of the batch whose episodes are timed."""
     out: Path | None = None
     """Write every measurement here as JSON."""
 
@@ -84,7 +91,7 @@ class Times:
 
 def main(args: Args) -> list[dict[str, str]]:
     """Measure, print the table as Markdown, and return its rows."""
-    for name, value in (("repeats", args.repeats), ("every", args.every)):
+    for name, value in (("repeats", args.repeats), ("every", args.every), ("worlds", args.worlds)):
         if value < 1:
             raise InputError(f"{name} {value} is too small; choices: 1, 2, ...")
     scenario = load_scenario(args.scenario)
@@ -94,20 +101,22 @@ def main(args: Args) -> list[dict[str, str]]:
     ticks, patterns = record_ticks(scenario, controller)
     peers = {shape: make_peers(shape, pattern, scenario) for shape, pattern in patterns.items()}
     found: dict[tuple[str, str], Times] = {}
+    episodes: dict[str, list[float]] = {}
     try:
         measure(controller, ticks, peers, args.every, {})  # compiles everything
         for _ in range(args.repeats):
             measure(controller, ticks, peers, args.every, found)
+            time_episodes(scenario, args.worlds, episodes)
     except KeyboardInterrupt:
         print("stopped early", file=sys.stderr)
     rows = make_rows(found)
     print(", ".join(f"{key} {value}" for key, value in machine.items()), end="\n\n")
-    print(format_table(rows), NOTES, sep="\n\n")
+    print(format_table(rows), format_table(make_episode_rows(episodes, scenario.horizon)), NOTES, sep="\n\n")
     if not find_spec("osqp"):
         print("left out: OSQP, not installed (pip install osqp)")
     if args.out:
         times = [{"phase": phase, "method": method, **asdict(t)} for (phase, method), t in found.items()]
-        record = {"machine": machine, "args": asdict(args), "rows": rows, "times": times}
+        record = {"machine": machine, "args": asdict(args), "rows": rows, "times": times, "episodes": episodes}
         args.out.write_text(json.dumps(record, indent=1, default=str) + "\n", encoding="utf-8")
     return rows
 
@@ -200,12 +209,19 @@ def _add(
 def make_peers(shape: Shape, pattern: Pattern, scenario: DualArmScenario) -> dict[str, Peer]:
     """Return what solves programs of a shape, by method; each takes a program and returns what is to be timed."""
     limits = np.array([scenario.links.torque_limits] * 2, dtype=float)
-    peers: dict[str, Peer] = {"cvxpy, Clarabel": make_cvxpy(shape, limits, "CLARABEL", {})}
+    peers: dict[str, Peer] = {name: make_direct(name) for name in (COMPILED, "daqp")}
+    peers["cvxpy, Clarabel"] = make_cvxpy(shape, limits, "CLARABEL", {})
     if find_spec("osqp"):
         options = {"eps_abs": TOLERANCE, "eps_rel": TOLERANCE, "max_iter": MOST_ITERATIONS}
         peers["cvxpy, OSQP"] = make_cvxpy(shape, limits, "OSQP", options)
         peers["OSQP"] = make_osqp(shape, pattern, limits)
     return peers
+
+
+def make_direct(name: str) -> Peer:
+    """Return one of our own solvers, called from Python as it is for inspection."""
+    solve = get_solver(name)
+    return lambda program: lambda: solve(program)
 
 
 def make_cvxpy(shape: Shape, limits: np.ndarray, solver: str, options: dict[str, Any]) -> Peer:
@@ -275,6 +291,35 @@ def make_osqp(shape: Shape, pattern: Pattern, limits: np.ndarray) -> Peer:
 def _list_entries(matrix: sparse.csc_matrix) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns of the entries in the order in which they are stored."""
     return matrix.indices.copy(), np.repeat(np.arange(matrix.shape[1]), np.diff(matrix.indptr))
+
+
+def time_episodes(scenario: DualArmScenario, worlds: int, found: dict[str, list[float]]) -> None:
+    """Play episodes in one environment, in a vector environment of one world, and in one of many.
+
+    Args:
+        scenario: to play.
+        worlds: how many are many.
+        found: method to CPU times of one episode, added to [s].
+    """
+    env, expert = parallel_env(scenario), make_expert(scenario)
+    begin = time.process_time()
+    rollout(env, expert, SEED)
+    found.setdefault("one world", []).append(time.process_time() - begin)
+    for count in {1: "vector_env, 1 world", worlds: f"vector_env, {worlds} worlds"}.items():
+        batch, experts = vector_env(scenario, count[0], threads=1), make_expert_batch(scenario, count[0])
+        observations, _ = batch.reset(seed=SEED)
+        begin = time.process_time()
+        for _ in range(scenario.steps):
+            observations, *_ = batch.step(experts.act(observations))
+        found.setdefault(count[1], []).append((time.process_time() - begin) / count[0])
+
+
+def make_episode_rows(found: dict[str, list[float]], horizon: float) -> list[dict[str, str]]:
+    """Return one row of text per method."""
+    return [
+        {"episode": method, "CPU [s]": f"{min(times):.3f}", "realtime": f"{horizon / min(times):.0f}"}
+        for method, times in found.items()
+    ]
 
 
 def make_rows(found: dict[tuple[str, str], Times]) -> list[dict[str, str]]:

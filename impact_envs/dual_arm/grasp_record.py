@@ -16,6 +16,7 @@ from impact_envs.dual_arm.plant import NORMAL
 # Columns of the values, in the order of `schema.GRASP_SIGNALS`.
 FORCE_MIN, FORCE_MAX, TORQUE, TORQUE_STEP, SLIP, LAG, INTERIM, LIMIT_TIME = range(8)
 COUNT, FIRST, HELD, GRASP = 0, 1, 3, 4  # elements of the marks; FIRST has one for each arm
+START_MARKS = (0, -1, -1, 0, -1)  # of an episode that has not begun; all else is 0
 # The box is grasped when every pad corner has pressed harder than this [N] for this long [s].
 GRASP_FORCE, GRASP_TIME = 1.0, 0.015
 # Share of the limit: a clipped command equals the limit up to rounding.
@@ -39,15 +40,13 @@ class GraspRecord(NamedTuple):
     torques: np.ndarray
 
 
-def make_grasp_record() -> GraspRecord:
-    """Return the record of an episode that has not begun."""
-    return GraspRecord(np.zeros((3, 8)), np.array([0, -1, -1, 0, -1]), np.zeros(4), np.zeros((2, 3)))
-
-
+@compiled
 def begin_period(record: GraspRecord) -> None:
     """Clear what describes the last control period; at least one tick must follow."""
-    record.values[:, FORCE_MIN] = np.inf
-    record.values[:, FORCE_MAX : TORQUE_STEP + 1] = 0.0
+    for i in range(3):
+        record.values[i, FORCE_MIN] = np.inf
+        for column in range(FORCE_MAX, TORQUE_STEP + 1):
+            record.values[i, column] = 0.0
 
 
 @compiled

@@ -75,7 +75,7 @@ def test_arms_that_are_lost_end_the_episode(name):
     env = parallel_env(name)
     env.reset(seed=0)
     if name == "dual_arm_grasp":
-        env.model._state[24 + 3] = np.nan
+        env.model._worlds[0]["state"][24 + 3] = np.nan
     else:
         env.model._v[-3] = np.nan
     still = {agent: np.zeros(env.action_space(agent).shape) for agent in env.agents}

@@ -107,7 +107,7 @@ def test_impacts_grasp_and_slip_are_kept_as_they_happen():
         slips.append(model.slips())
     full = np.array(forces).min(axis=1) > 1.0
     runs = np.convolve(full, np.ones(15, int))[: len(full)]
-    grasp, marks = int(np.argmax(runs == 15)), model._record.marks
+    grasp, marks = int(np.argmax(runs == 15)), model.record().marks
     assert marks[GRASP] == grasp > 0
     first = marks[FIRST : FIRST + 2]
     assert (first >= 0).all()
@@ -126,7 +126,7 @@ def test_time_at_a_limit_counts_from_the_first_contact():
     model, torques = push_together(SCENARIO)
     for _ in range(10):
         model.tick(torques)
-    assert model.state()[2, column("lag")] >= 0.0 and model._record.marks[FIRST] >= 0
+    assert model.state()[2, column("lag")] >= 0.0 and model.record().marks[FIRST] >= 0
     before = model.state()[2, column("limit_time")]
     torques[1, 2] = -30.0
     for _ in range(4):
