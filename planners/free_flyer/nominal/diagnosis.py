@@ -36,7 +36,9 @@ class Relaxation:
         return f"'{self.part}' loosened by {self.amount:.2g} m"
 
 
-def find_relaxation(task: NominalTask, max_impacts: int, rho: float, time_limit: float) -> tuple[Relaxation, ...]:
+def find_relaxation(
+    task: NominalTask, max_impacts: int, rho: float, time_limit: float, pieces: int = 1
+) -> tuple[Relaxation, ...]:
     """Return the parts of a scenario that together need the least loosening for a plan to exist.
 
     Every conjunct and the speed of every body gets a slack variable; the sum of all slacks is least, over the numbers
@@ -47,6 +49,7 @@ def find_relaxation(task: NominalTask, max_impacts: int, rho: float, time_limit:
         max_impacts: greatest number of impacts tried.
         rho: robustness that is wanted [m].
         time_limit: wall time [s].
+        pieces: per leg.
 
     Returns:
         What to loosen, most first; empty if no relaxation was found, or none is needed.
@@ -55,7 +58,7 @@ def find_relaxation(task: NominalTask, max_impacts: int, rho: float, time_limit:
     least = float("inf")
     for impacts in range(max_impacts + 1):
         try:
-            grid, _ = task.build(GridSize(impacts, passing=True), (rho, rho), elastic=True)
+            grid, _ = task.build(GridSize(impacts, pieces, passing=True), (rho, rho), elastic=True)
             model = grid.model
             model.objective = sum(model.slacks.values(), Affine({}))
             limit = time_limit / (max_impacts + 1)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planners.cones import solve_cones
-from planners.errors import Infeasible, SolverFailed
+from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.clearance_rows import solve_apart
 from planners.free_flyer.nominal.event_grid import EventGrid
 from planners.free_flyer.nominal.event_sequence import EventSequence, Word, own_events
@@ -62,7 +62,7 @@ def minimise_path_cost(
         size: of the grid; wishes decide about passing.
         rho: robustness to keep [m].
         options: how closely the least cost is approached.
-        time_limit: of each mixed-integer solution, or of all of them together, as the options say [s].
+        time_limit: of all mixed-integer solutions together [s].
         word: who hits what; None: anybody anything.
         forbidden: words that are excluded.
 
@@ -73,16 +73,25 @@ def minimise_path_cost(
         Infeasible: no such events.
         SolverFailed: out of time.
     """
-    failure: Infeasible | None = None
-    deadline = time.perf_counter() + time_limit if options.together else np.inf
+    failure: PlanningError | None = None
+    deadline = time.perf_counter() + time_limit
     weights = options.weights if len(task.scenario.objects) > 1 else options.weights[:1]
     for wish, weight in itertools.product(options.wishes, weights):
+        left = deadline - time.perf_counter()
+        if failure is not None and left <= 0.0:
+            break
+        # One wish that takes long leaves half of the time to the next one.
+        limit = time_limit if options.together else 0.5 * left
         try:
-            problem = build_cost_problem(task, size, rho, wish, options, time_limit, word, forbidden)
-            problem.deadline = deadline
+            problem = build_cost_problem(task, size, rho, wish, options, limit, word, forbidden)
+            problem.deadline = deadline if options.together else time.perf_counter() + limit
             return problem.solve(weight, options.gap)
         except Infeasible as error:
             failure = error
+        except SolverFailed as error:
+            if options.together:
+                raise
+            failure = failure or error
     assert failure is not None
     raise failure
 
@@ -159,7 +168,12 @@ class CostProblem:
             self._straighten_flights(weight)
         best, least = None, np.inf
         for _ in range(self.options.rounds):
-            x, relaxed = self._solve_round(gap)
+            try:
+                x, relaxed = self._solve_round(gap)
+            except SolverFailed:
+                if best is None:
+                    raise
+                break  # out of time for a closer approximation
             found = compute_path_cost(self.costs, x)
             if found < least - NOISE:
                 best, least = x, found

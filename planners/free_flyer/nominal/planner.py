@@ -3,57 +3,37 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-
-import numpy as np
 
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.budget import Budget, Work
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.frame import Frame, find_frame
-from planners.free_flyer.nominal.clearance_rows import solve_apart
 from planners.free_flyer.nominal.diagnosis import find_relaxation
-from planners.free_flyer.nominal.event_sequence import Hitter, Word, compute_impacts, make_object_curve
-from planners.free_flyer.nominal.least_cost import CostOptimum, minimise_path_cost, read_events
+from planners.free_flyer.nominal.event_sequence import EventSequence, Word, compute_impacts, make_object_curve
+from planners.free_flyer.nominal.least_cost import CostOptimum, minimise_path_cost
+from planners.free_flyer.nominal.leg_times import Wait, find_waits
+from planners.free_flyer.nominal.robustness import (
+    MANY,
+    TOLERANCE,
+    RobustnessOptimum,
+    maximise_jointly,
+    maximise_robustness,
+)
 from planners.free_flyer.nominal.screening import screen_task
-from planners.free_flyer.nominal.sequence_search import restrict_to_object, search_words
 from planners.free_flyer.nominal.smoothing import smooth_motions
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
+from planners.free_flyer.nominal.verdict import Trial, judge_trials
+from planners.free_flyer.nominal.ways import count_pieces
+from planners.free_flyer.nominal.word_grid import solve_word_grid
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.central_hit import compute_shape_error
-from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import read_demands
-from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
 from planners.free_flyer.validation import Tolerances, validate_plan
-from planners.mixed_integer import Model
 from planners.plan import Plan
-from planners.solvers import check_solver, solve
-
-TOLERANCE = 1e-6  # of the robustness: solvers stop within this of the optimum [m]
-
-
-@dataclass(frozen=True)
-class RobustnessOptimum:
-    """Hold the result of stage A.
-
-    Args:
-        size: fewest impacts that attain the robustness, and the pieces per leg that robots need for it.
-        rho: greatest robustness [m].
-        bound: what no plan of any kind can exceed [m].
-        words: who hits what, least path cost first; empty: anybody anything.
-        cost_bound: no word has a smaller path cost [m^2/s].
-        events: that attain the robustness at any path cost, for when there is no time for the least; one object only.
-    """
-
-    size: GridSize
-    rho: float
-    bound: float
-    words: tuple[Word, ...] = ()
-    cost_bound: float = 0.0
-    events: CostOptimum | None = None
+from planners.solvers import check_solver
 
 
 def make_free_flyer_plan(
@@ -143,36 +123,124 @@ def _plan_task(
     work: Work | None,
     frame: Frame,
 ) -> Plan:
-    """Plan with the reserves, with half of them, then with a quarter."""
-    task = tightest = NominalTask(scenario, read_demands(scenario, reserves.wall), reserves, solver, work, frame)
+    """Climb the ladder of attempts until one gives a plan, see `_list_attempts`."""
+    demands = read_demands(scenario, reserves.wall)
+    task = NominalTask(scenario, demands, reserves, solver, work, frame)
     if options.expected is not None:
         max_impacts = min(max_impacts, options.expected + 1)
-    failure: PlanningError | None = None
-    enough = options.enough
-    for _ in range(options.halvings + 1):
-        tried = replace(options, enough=enough)
-        try:
-            if options.screen:
-                with budget.stage("screening"):
-                    screen_task(task, max_impacts, options)
-            with budget.stage("robustness"):
-                search = maximise_robustness if len(scenario.objects) == 1 else maximise_jointly
-                optimum = search(task, max_impacts, budget, tried)
-                quick = quicken_legs(task, optimum, search, budget, tried)
-            if quick is not None:
-                try:
-                    return _plan_events(*quick, budget, tried)
-                except PlanningError:
-                    pass  # the plan with all reserves is left
-            return _plan_events(task, optimum, budget, tried)
-        except PlanningError as error:
-            failure = failure or error
-        if budget.left <= 0.0:
+    trials: list[Trial] = []
+    best: Plan | None = None
+    for halvings, pieces in _list_attempts(task, options, trials):
+        if trials and budget.left <= 0.0:
             break
-        tightest, task = task, replace(task, reserves=replace(task.reserves.halved(), underway=1.0))
-        enough = enough if options.thorough else 0.5 * enough
-    assert failure is not None
-    raise _explain(failure, tightest, max_impacts, budget, options)
+        if best is not None and pieces != options.pieces:
+            continue
+        tried = replace(options, pieces=pieces, enough=options.enough * (1.0 if options.thorough else 0.5**halvings))
+        climber = _Climber(_halve_reserves(task, halvings), max_impacts, budget, tried, hurry=best is not None)
+        try:
+            plan = climber.climb()
+        except PlanningError as error:
+            trials.append(Trial(halvings, pieces, error, climber.rho))
+            continue
+        if best is None or plan.robustness > best.robustness:
+            best = plan
+        if not options.thorough or climber.rho is None or plan.robustness >= options.satisfying * climber.rho:
+            break
+        trials.append(Trial(halvings, pieces, climber.failure or SolverFailed("", "", ""), climber.rho))
+    if best is not None:
+        return best
+    if not options.thorough:
+        raise trials[0].error
+    hardest = _halve_reserves(task, max(trial.halvings for trial in trials))
+    complete = budget.left > 0.0
+    verdict = judge_trials(trials, hardest, max_impacts, budget, complete)
+    raise _explain(verdict, hardest, max_impacts, budget, options)
+
+
+def _list_attempts(
+    task: NominalTask, options: PlanOptions, trials: Sequence[Trial]
+) -> Iterator[tuple[int, tuple[int, ...]]]:
+    """Yield how often reserves are halved, and the numbers of pieces per leg, in the order in which they are tried.
+
+    Legs get more pieces where the event grid has no plan without: first as many as the shortest ways round obstacles
+    have, with each of the reserves; when these have failed as well, all other numbers.
+    """
+    needed = count_pieces(task.scenario, task.demands, task.reserves.wall) if options.thorough else None
+    more = range(max(options.pieces) + 1, options.most_pieces + 1) if options.thorough else ()
+    first = [pieces for pieces in more if needed is not None and needed <= pieces <= needed + 1]
+    first = first if needed is not None and needed > max(options.pieces) else []
+    for halvings in range(options.halvings + 1):
+        yield halvings, options.pieces
+        if trials and trials[-1].rho is None:
+            yield from ((halvings, (pieces,)) for pieces in first)
+    if all(trial.rho is None for trial in trials):
+        rest = [pieces for pieces in more if pieces not in first]
+        yield from itertools.product(range(options.halvings + 1), ((pieces,) for pieces in rest))
+
+
+def _halve_reserves(task: NominalTask, times: int) -> NominalTask:
+    for _ in range(times):
+        task = replace(task, reserves=replace(task.reserves.halved(), underway=1.0))
+    return task
+
+
+@dataclass
+class _Climber:
+    """Hold one attempt.
+
+    Args:
+        task: with its reserves.
+        max_impacts: greatest number of impacts.
+        budget: time.
+        options: with the numbers of pieces per leg.
+        hurry: there is a plan already, so nothing slow is tried.
+        rho: greatest robustness of the event grid, once it is known [m].
+        failure: of the best motions, where less robust ones were found.
+    """
+
+    task: NominalTask
+    max_impacts: int
+    budget: Budget
+    options: PlanOptions
+    hurry: bool = False
+    rho: float | None = None
+    failure: PlanningError | None = None
+
+    def climb(self) -> Plan:
+        """Return a plan.
+
+        Raises:
+            PlanningError: there is none.
+        """
+        task, options, budget = self.task, self.options, self.budget
+        if options.screen:
+            with budget.stage("screening"):
+                screen_task(task, self.max_impacts, options)
+        search = maximise_robustness if len(task.scenario.objects) == 1 else maximise_jointly
+        with budget.stage("robustness"):
+            # An attempt leaves time for the next one.
+            part = Budget(budget.left * options.attempt_share)
+            optimum = search(task, self.max_impacts, part, options)
+            self.rho = optimum.rho
+            quick = quicken_legs(task, optimum, search, part, options)
+        if quick is not None:
+            try:
+                return _plan_events(*quick, [], budget, options)
+            except PlanningError:
+                pass  # the plan with all reserves is left
+        rough: list[Word] = []
+        try:
+            if self.hurry and optimum.events is not None:
+                rough.append(optimum.events.sequence.hitters)
+                raise SolverFailed("smoothing", "there is a plan already", "raise the time limit")
+            if optimum.size.pieces > MANY and optimum.events is not None:
+                return _plan_long_ways(task, optimum, optimum.events, rough, budget, options)
+            return _plan_events(task, optimum, rough, budget, options)
+        except PlanningError as error:
+            self.failure = error
+            if not options.thorough:
+                raise
+        return _plan_patiently(task, optimum, rough, self.failure, budget, options)
 
 
 def quicken_legs(
@@ -200,126 +268,45 @@ def _explain(
     failure: PlanningError, task: NominalTask, max_impacts: int, budget: Budget, options: PlanOptions
 ) -> PlanningError:
     """Return the failure of a task; if it is infeasible, the remedy says what to loosen."""
-    if not isinstance(failure, Infeasible) or not options.thorough or not options.diagnosis:
+    if not isinstance(failure, Infeasible) or not options.diagnosis:
         return failure
     limit = min(max(budget.left, 0.25 * options.diagnosis), options.diagnosis)
-    found = find_relaxation(task, max_impacts, options.least, limit)
+    pieces = min(count_pieces(task.scenario, task.demands, task.reserves.wall) or 1, options.most_pieces)
+    found = find_relaxation(task, max_impacts, options.least, limit, pieces)
     if not found:
         return failure
     remedy = f"a plan would exist with {' and '.join(str(relaxation) for relaxation in found)}"
     return Infeasible(failure.problem, failure.status, remedy)
 
 
-def maximise_robustness(
-    task: NominalTask, max_impacts: int, budget: Budget, options: PlanOptions, fewest: int = 0
-) -> RobustnessOptimum:
-    """Return the greatest robustness and the fewest impacts that attain it (stage A).
-
-    Every number of impacts is solved to proven optimality or infeasibility (as far as the time limit allows), until
-    one attains the geometric bound, which holds for every number. Legs of several pieces are tried for numbers that
-    are infeasible without them, and for the first number whose plan does not attain the bound.
-
-    Args:
-        task: what is asked.
-        max_impacts: greatest number of impacts tried.
-        budget: time.
-        options: when to stop.
-        fewest: least number of impacts tried.
-
-    Raises:
-        Infeasible: no plan within max_impacts.
-        SolverFailed: out of time.
-    """
-    ceiling = compute_geometric_bound(task.scenario, task.demands, task.solver)
-    problem = f"plan of {task.scenario.name}"
-    if ceiling < options.least:
-        status = f"fixed starts, goals and areas allow a robustness of {ceiling * task.frame.length:.3g} m at most"
-        raise Infeasible(problem, status, "move them, or relax the formula")
-    best: RobustnessOptimum | None = None
-    for impacts, pieces in itertools.product(options.order_numbers(fewest, max_impacts), options.pieces):
-        if best is not None and pieces > best.size.pieces and impacts > best.size.impacts:
-            continue
-        if best is not None and not options.thorough and impacts > best.size.impacts + 1:
-            break
-        # Once there is a plan, the search for a more robust one with more impacts must leave time to finish it.
-        share = 0.25 if options.thorough else 0.5
-        limit = budget.left if best is None else share * budget.limit - budget.elapsed
-        least = options.least if best is None else best.rho
-        try:
-            found = _solve_size(task, GridSize(impacts, pieces, passing=True), (least, ceiling), limit, options)
-        except Infeasible:
-            continue
-        except SolverFailed:
-            if best is None:
-                raise
-            break
-        if best is None or found.rho > best.rho + TOLERANCE:
-            best = replace(found, rho=ceiling) if ceiling - found.rho <= TOLERANCE else found
-        if best.rho >= options.enough * ceiling:
-            break
-    if best is None:
-        status = f"proven infeasible with up to {max_impacts} impacts and the planner's reserves"
-        raise Infeasible(problem, status, "allow more impacts or time, move the areas, or relax the formula")
-    return best
+def _plan_long_ways(
+    task: NominalTask,
+    optimum: RobustnessOptimum,
+    events: CostOptimum,
+    rough: list[Word],
+    budget: Budget,
+    options: PlanOptions,
+) -> Plan:
+    """Smooth the events that were found along with the robustness, then look whether others cost less."""
+    try:
+        plan = _finish(task, optimum, optimum.rho, events, budget, options)
+    except PlanningError:
+        rough.append(events.sequence.hitters)
+        return _plan_events(task, optimum, rough, budget, options)
+    try:
+        other = _plan_events(task, optimum, [], budget, replace(options, words=1, turns=options.turns[:1]))
+    except PlanningError:
+        return plan
+    return other if other.effort < plan.effort and other.robustness >= plan.robustness - TOLERANCE else plan
 
 
-def _solve_size(
-    task: NominalTask, size: GridSize, rho: tuple[float, float], time_limit: float, options: PlanOptions
-) -> RobustnessOptimum:
-    """Return the greatest robustness, between two numbers, of plans of one size."""
-    grid, choices = task.build(size, rho)
-    grid.model.objective = -grid.rho
-    point = partial(_solve_point, task, grid.model, time_limit, options.robustness_gap)
-    x = solve_apart(grid, task.scenario, task.reserves, point)
-    events = read_events(task, grid, choices, x) if len(task.scenario.objects) == 1 else None
-    return RobustnessOptimum(size, grid.rho.value(x), rho[1], events=events)
-
-
-def _solve_point(task: NominalTask, model: Model, time_limit: float, gap: float) -> np.ndarray:
-    return solve(model, time_limit, gap, task.solver, work=task.work).x
-
-
-def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, options: PlanOptions) -> RobustnessOptimum:
-    """Return the optimum for several objects, starting from those of each object alone.
-
-    What the objects attain alone bounds what they attain together, in robustness and in number of impacts. First a
-    word is sought that attains both bounds; only if there is none are all words open (see `maximise_robustness`).
-
-    Args:
-        task, max_impacts, budget, options: as for `maximise_robustness`.
-
-    Raises:
-        Infeasible: no plan within max_impacts.
-        SolverFailed: out of time.
-    """
-    ceiling = compute_geometric_bound(task.scenario, task.demands, task.solver)
-    rho, pieces = ceiling, 1
-    hits: list[tuple[float, Hitter]] = []
-    for name in task.scenario.objects:
-        alone = restrict_to_object(task.scenario, name)
-        if alone is None:
-            continue
-        own = replace(task, scenario=alone, demands=read_demands(alone, task.reserves.wall))
-        optimum = maximise_robustness(own, max_impacts, budget, replace(options, expected=None))
-        rho, pieces = min(rho, optimum.rho), max(pieces, optimum.size.pieces)
-        events = optimum.events
-        if events is None or options.thorough:
-            events = minimise_path_cost(own, optimum.size, optimum.rho, options.cost, budget.left)
-        hits += zip(events.sequence.times[1:-1], events.sequence.hitters, strict=True)
-    seed = tuple(hitter for _, hitter in sorted(hits))
-    if len(seed) <= max_impacts:
-        size = GridSize(len(seed), pieces)
-        found = search_words(task, size, options.joint * rho, seed, lambda: budget.left / 2, options)
-        if found.words:
-            return RobustnessOptimum(size, rho, ceiling, found.words, found.bound)
-    fewest = len(seed) if options.expected is None else min(len(seed), options.expected)
-    return maximise_robustness(task, max_impacts, budget, options, fewest)
-
-
-def _plan_events(task: NominalTask, optimum: RobustnessOptimum, budget: Budget, options: PlanOptions) -> Plan:
+def _plan_events(
+    task: NominalTask, optimum: RobustnessOptimum, rough: list[Word], budget: Budget, options: PlanOptions
+) -> Plan:
     """Try words in the order of their path cost until the plan of one can be smoothed and passes the check.
 
-    Out of time, the events of stage A are used, whatever their cost.
+    Out of time, the events of stage A are used, whatever their cost. Words without smooth motions are added to those
+    that are rough.
     """
     failure: PlanningError | None = None
     share = options.joint if len(task.scenario.objects) > 1 else 1.0
@@ -332,7 +319,8 @@ def _plan_events(task: NominalTask, optimum: RobustnessOptimum, budget: Budget, 
         for word in optimum.words[: options.words] or (None,) * options.words:
             try:
                 with budget.stage("effort"):
-                    limit = budget.left / 2
+                    # Where this takes long, the events of stage A are left, and time to make the most of them.
+                    limit = budget.left / (4 if options.thorough else 2)
                     events = minimise_path_cost(slower, optimum.size, kept, options.cost, limit, word, forbidden)
             except PlanningError as error:
                 failure = failure or error
@@ -343,12 +331,101 @@ def _plan_events(task: NominalTask, optimum: RobustnessOptimum, budget: Budget, 
                 return _finish(slower, optimum, kept, events, budget, options)
             except PlanningError as error:
                 failure = failure or error
+                rough.append(events.sequence.hitters)
                 if word is None:
                     forbidden.append(events.sequence.hitters)
     assert failure is not None
     if isinstance(failure, Infeasible) or optimum.events is None:
         raise failure
+    rough.append(optimum.events.sequence.hitters)
     return _finish(task, optimum, optimum.rho, optimum.events, budget, replace(options, thrust=None))
+
+
+def _plan_patiently(
+    task: NominalTask,
+    optimum: RobustnessOptimum,
+    rough: Sequence[Word],
+    failure: PlanningError,
+    budget: Budget,
+    options: PlanOptions,
+) -> Plan:
+    """Give hasty legs more time, then keep less robustness, until the motions of a sequence can be smoothed.
+
+    Args:
+        task: what is asked.
+        optimum: of the event grid.
+        rough: sequences that have no smooth motions.
+        failure: of these motions.
+        budget: time.
+        options: factors and shares.
+
+    Raises:
+        PlanningError: the failure, if this does not help.
+    """
+    words = list(dict.fromkeys(rough))
+    for _ in range(options.words):
+        for word in words:
+            try:
+                return _plan_word(task, optimum, word, budget, options)
+            except PlanningError:
+                if budget.left <= 0.0:
+                    raise failure from None
+        # A sequence of less robustness may have more time.
+        try:
+            with budget.stage("effort"):
+                limit, tried = 0.25 * budget.left, list(dict.fromkeys((*rough, *words)))
+                rho = max(options.least, options.less[-1] * optimum.rho)
+                events = minimise_path_cost(task, optimum.size, rho, options.cost, limit, forbidden=tried)
+        except PlanningError:
+            break
+        rough, words = tried, [events.sequence.hitters]
+    raise failure
+
+
+def _plan_word(task: NominalTask, optimum: RobustnessOptimum, word: Word, budget: Budget, options: PlanOptions) -> Plan:
+    """Plan one sequence of impacts again and again, each time with more time on the legs that are hasty.
+
+    Raises:
+        PlanningError: that does not help.
+    """
+    best: Plan | None = None
+    failure: PlanningError = Infeasible("smoothing", "no leg is hasty", "allow more impacts")
+    waits: dict[tuple[int, int], Wait] = {}
+    size, bounds = replace(optimum.size, passing=True), (options.least, optimum.bound)
+    for factor in options.patience:
+        patient, limit = replace(task, waits=tuple(waits.values())), 0.25 * budget.left
+        if limit <= 0.0:
+            break
+        try:
+            with budget.stage("robustness"):
+                found = solve_word_grid(patient, size, bounds, limit, options.robustness_gap, word)
+        except PlanningError as error:
+            failure = failure if waits else error
+            break
+        last: EventSequence | None = None
+        for share in options.less:
+            rho = max(options.least, share * found.rho)
+            if best is not None and rho <= best.robustness:
+                break
+            try:
+                with budget.stage("effort"):
+                    if len(task.scenario.objects) == 1:
+                        events = found.reduce_cost(rho)
+                    else:
+                        events = minimise_path_cost(patient, size, rho, options.cost, limit, word)
+                last = last or events.sequence
+                best = _finish(patient, optimum, rho, events, budget, options)
+                break
+            except PlanningError as error:
+                failure = error
+        if last is None:
+            break
+        impacts = compute_impacts(task.scenario, last)
+        hasty = find_waits(task.scenario, last, impacts, task.reserves, factor)
+        waits |= {(wait.first, wait.second): wait for wait in hasty}
+    if best is None:
+        raise failure
+    return best
 
 
 def _slow_down(task: NominalTask, turn: float) -> NominalTask:

@@ -10,6 +10,7 @@ from planners.budget import Work
 from planners.free_flyer.frame import Frame
 from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import Word
+from planners.free_flyer.nominal.leg_times import Wait
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.formula_rows import add_demands
 from planners.free_flyer.specification.grid import GridSize
@@ -29,6 +30,7 @@ class NominalTask:
         solver: of mixed-integer models.
         work: that is counted and limited, if any is.
         frame: whose units the scenario is in.
+        waits: least times between events, beyond those of the reserves.
     """
 
     scenario: FreeFlyerScenario
@@ -37,6 +39,7 @@ class NominalTask:
     solver: str = "highs"
     work: Work | None = None
     frame: Frame = field(default_factory=Frame)
+    waits: tuple[Wait, ...] = ()
 
     def build(
         self,
@@ -62,6 +65,9 @@ class NominalTask:
             Infeasible: the variable bounds alone exclude every plan.
         """
         grid = build_event_grid(self.scenario, size.impacts, rho, self.reserves, size.pieces, word, elastic)
+        events = grid.times[:: grid.pieces]
+        for wait in self.waits:
+            grid.model.require(wait.seconds - (events[wait.second] - events[wait.first]))
         return grid, add_demands(grid, self.demands, self.scenario.control_period, size.passing, avoid)
 
 
@@ -88,7 +94,7 @@ class CostOptions:
         straightening_gap: relative gap of the solution that flights of several objects are straightened by.
         weights: of objects' costs while their flights are still bent; the first one that lets them straighten counts.
         wishes: in the order in which they are given up.
-        together: whether the time limit is for all wishes and weights together, not for each solution.
+        together: whether one solution may take all of the time for it; otherwise it leaves half to the next wish.
     """
 
     gap: float = 0.01
@@ -136,6 +142,12 @@ class PlanOptions:
         deeper: factor by which the robustness has to grow for that.
         robustness_gap: to which the greatest robustness is proven, relative.
         pieces: numbers of pieces per leg in the order in which they are tried; two let robots turn corners.
+        most_pieces: greatest number of pieces per leg, where there is no plan with those.
+        attempt_share: share of the time left that one attempt to find impacts may take.
+        patience: factors of the least times of hasty legs, tried in turn when motions prove too quick to be smoothed.
+        less: shares of the robustness that are kept then, in turn.
+        satisfying: share of the robustness of the impacts from which on a plan with less is good enough, and reserves
+            are not halved.
         joint: share of their robustness that several objects keep when their flights are straightened.
         thrust: share of the thrust that smooth motions may use; None: that of the reserves.
         expected: number of impacts to try first, then one more, then fewer, and none with more; None: count up from the
@@ -159,6 +171,11 @@ class PlanOptions:
     deeper: float = 1.5
     robustness_gap: float = 1e-6
     pieces: tuple[int, ...] = (1, 2)
+    most_pieces: int = 6
+    attempt_share: float = 0.6
+    patience: tuple[float, ...] = (1.05, 1.2, 1.5, 2.0)
+    less: tuple[float, ...] = (1.0, 0.85, 0.7, 0.5, 0.3)
+    satisfying: float = 0.9
     joint: float = 1.0
     thrust: float | None = None
     expected: int | None = None

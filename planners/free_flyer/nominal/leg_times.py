@@ -1,0 +1,125 @@
+"""How long the legs of robots take at least, now that the velocities of their impacts are known.
+
+The event grid knows neither the velocity a robot needs at an impact nor the way round an object it has just hit. A
+sequence whose motions prove too quick to be smoothed is planned again with more time on its hasty legs.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners.free_flyer.nominal.event_sequence import EventSequence
+from planners.free_flyer.reserves import Reserves
+from planners.plan import PlannedImpact
+
+
+@dataclass(frozen=True)
+class Wait:
+    """Hold a least time between two events.
+
+    Args:
+        first: number of the earlier event; 0 is the start.
+        second: number of the later event; K + 1 is the horizon.
+        seconds: least time between them [s].
+    """
+
+    first: int
+    second: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class _Stop:
+    """Hold where a robot is at an event, and its velocity before and after; and what it hits there."""
+
+    event: int
+    place: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    impact: PlannedImpact | None = None
+
+
+def find_waits(
+    scenario: FreeFlyerScenario,
+    sequence: EventSequence,
+    impacts: Sequence[PlannedImpact],
+    reserves: Reserves,
+    factor: float,
+) -> tuple[Wait, ...]:
+    """Return how long the legs of robots should take that take less than so many times the least time.
+
+    Args:
+        scenario: limits, starts and goals.
+        sequence: events.
+        impacts: from `compute_impacts`.
+        reserves: thrust and clearance.
+        factor: of the least time.
+
+    Returns:
+        One wait per hasty leg; none: there is no such leg.
+    """
+    waits = []
+    for name, robot in scenario.robots.items():
+        strength = reserves.acceleration(robot)
+        for here, there in itertools.pairwise(_list_stops(scenario, sequence, impacts, name)):
+            least = max(
+                compute_least_time(float(d), float(v), float(w), strength, robot.speed_limit)
+                for d, v, w in zip(there.place - here.place, here.after, there.before, strict=True)
+            )
+            least = max(least, _measure_way_round(scenario, here, there, strength, reserves))
+            taken = sequence.times[there.event] - sequence.times[here.event]
+            if taken < factor * least:
+                waits.append(Wait(here.event, there.event, factor * least))
+    return tuple(waits)
+
+
+def compute_least_time(distance: float, start: float, end: float, strength: float, fastest: float) -> float:
+    """Return the least time between two states of a point on a line.
+
+    Args:
+        distance: from start to end [m].
+        start: velocity at the start [m/s].
+        end: velocity at the end [m/s].
+        strength: greatest acceleration [m/s^2].
+        fastest: greatest speed [m/s].
+    """
+    direct = (end**2 - start**2) / (2.0 * strength) * (1.0 if end >= start else -1.0)
+    if distance < direct:
+        distance, start, end = -distance, -start, -end
+    peak = math.sqrt(max(strength * distance + 0.5 * (start**2 + end**2), 0.0))
+    top = max(min(peak, fastest), start, end)
+    moved = (2.0 * top**2 - start**2 - end**2) / (2.0 * strength)
+    cruise = max(0.0, distance - moved) / top if top > 0.0 else 0.0
+    return (2.0 * top - start - end) / strength + cruise
+
+
+def _list_stops(
+    scenario: FreeFlyerScenario, sequence: EventSequence, impacts: Sequence[PlannedImpact], name: str
+) -> Iterator[_Stop]:
+    robot, rest = scenario.robots[name], np.zeros(2)
+    moving = np.array(robot.start_velocity)
+    yield _Stop(0, np.array(robot.start), moving, moving)
+    for event, impact in enumerate(impacts, start=1):
+        if impact.robot == name:
+            yield _Stop(event, impact.contact, impact.robot_minus, impact.robot_plus, impact)
+    if robot.goal is not None:
+        yield _Stop(len(sequence.times) - 1, np.array(robot.goal), rest, rest)
+
+
+def _measure_way_round(
+    scenario: FreeFlyerScenario, here: _Stop, there: _Stop, strength: float, reserves: Reserves
+) -> float:
+    """Return the time that the arc round an object takes which a robot hits twice running, from rest to its blow."""
+    one, other = here.impact, there.impact
+    if one is None or other is None or one.object != other.object:
+        return 0.0
+    angle = float(np.arccos(np.clip(one.normal @ other.normal, -1.0, 1.0)))
+    reach = scenario.robots[one.robot].radius + scenario.objects[one.object].radius + reserves.clearance
+    speed = float(np.linalg.norm(there.before - other.object_minus))
+    return 2.0 * math.sqrt(angle * reach / strength) + speed / strength

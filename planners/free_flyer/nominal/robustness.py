@@ -1,0 +1,175 @@
+"""Stage A: the greatest robustness, and the fewest impacts that attain it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+from planners.budget import Budget
+from planners.errors import Infeasible, PlanningError, SolverFailed
+from planners.free_flyer.nominal.event_sequence import Hitter, Word
+from planners.free_flyer.nominal.least_cost import CostOptimum, minimise_path_cost
+from planners.free_flyer.nominal.sequence_search import restrict_to_object, search_words
+from planners.free_flyer.nominal.task import NominalTask, PlanOptions
+from planners.free_flyer.nominal.word_grid import solve_word_grid
+from planners.free_flyer.specification.grid import GridSize
+from planners.free_flyer.specification.requirement import read_demands
+from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
+
+TOLERANCE = 1e-6  # of the robustness: solvers stop within this of the optimum [m]
+MANY = 2  # pieces per leg, above which events of little path cost are found along with the robustness
+
+
+@dataclass(frozen=True)
+class RobustnessOptimum:
+    """Hold the result of stage A.
+
+    Args:
+        size: fewest impacts that attain the robustness, and the pieces per leg that robots need for it.
+        rho: greatest robustness [m].
+        bound: what no plan of any kind can exceed [m].
+        words: who hits what, least path cost first; empty: anybody anything.
+        cost_bound: no word has a smaller path cost [m^2/s].
+        events: that attain the robustness at any path cost, for when there is no time for the least; one object only.
+    """
+
+    size: GridSize
+    rho: float
+    bound: float
+    words: tuple[Word, ...] = ()
+    cost_bound: float = 0.0
+    events: CostOptimum | None = None
+
+
+def maximise_robustness(
+    task: NominalTask, max_impacts: int, budget: Budget, options: PlanOptions, fewest: int = 0
+) -> RobustnessOptimum:
+    """Return the greatest robustness and the fewest impacts that attain it (stage A).
+
+    Every number of impacts is solved to proven optimality or infeasibility (as far as the time limit allows), until
+    one attains the geometric bound, which holds for every number. Legs of several pieces are tried for numbers that
+    are infeasible without them, and for the first number whose plan does not attain the bound.
+
+    Args:
+        task: what is asked.
+        max_impacts: greatest number of impacts tried.
+        budget: time.
+        options: when to stop.
+        fewest: least number of impacts tried.
+
+    Raises:
+        Infeasible: no plan within max_impacts.
+        SolverFailed: out of time.
+    """
+    ceiling = compute_geometric_bound(task.scenario, task.demands, task.solver)
+    problem = f"plan of {task.scenario.name}"
+    if ceiling < options.least:
+        status = f"fixed starts, goals and areas allow a robustness of {ceiling * task.frame.length:.3g} m at most"
+        raise Infeasible(problem, status, "move them, or relax the formula")
+    if min(options.pieces) > MANY:
+        found = _attain_bound(task, order_sizes(options, fewest, max_impacts), ceiling, budget, options)
+        if found is not None:
+            return found
+    best: RobustnessOptimum | None = None
+    for size in order_sizes(options, fewest, max_impacts):
+        impacts, pieces = size.impacts, size.pieces
+        if best is not None and pieces > best.size.pieces and impacts > best.size.impacts:
+            continue
+        if best is not None and not options.thorough and impacts > best.size.impacts + 1:
+            break
+        # Once there is a plan, the search for a more robust one with more impacts must leave time to finish it.
+        share = 0.5
+        limit = budget.left if best is None else share * budget.limit - budget.elapsed
+        least = options.least if best is None else best.rho
+        try:
+            found = _solve_size(task, size, (least, ceiling), limit, options)
+        except Infeasible:
+            continue
+        except SolverFailed:
+            if best is None:
+                raise
+            break
+        if best is None or found.rho > best.rho + TOLERANCE:
+            best = replace(found, rho=ceiling) if ceiling - found.rho <= TOLERANCE else found
+        if best.rho >= options.enough * ceiling:
+            break
+    if best is None:
+        status = f"proven infeasible with up to {max_impacts} impacts and the planner's reserves"
+        raise Infeasible(problem, status, "allow more impacts or time, move the areas, or relax the formula")
+    return best
+
+
+def order_sizes(options: PlanOptions, fewest: int, most: int) -> list[GridSize]:
+    """Return the sizes of grids in the order in which they are tried."""
+    numbers = itertools.product(options.order_numbers(fewest, most), options.pieces)
+    return [GridSize(impacts, pieces, passing=True) for impacts, pieces in numbers]
+
+
+def _attain_bound(
+    task: NominalTask, sizes: Sequence[GridSize], ceiling: float, budget: Budget, options: PlanOptions
+) -> RobustnessOptimum | None:
+    """Return the first size with a plan whose robustness is the bound; None: none was found.
+
+    With the robustness given, a model of many pieces is decided several times as quickly.
+    """
+    for size in sizes:
+        try:
+            limit = 0.3 * budget.left
+            found = _solve_size(task, size, (max(ceiling - TOLERANCE, options.least), ceiling), limit, options)
+        except PlanningError:
+            continue
+        return replace(found, rho=ceiling)
+    return None
+
+
+def _solve_size(
+    task: NominalTask, size: GridSize, rho: tuple[float, float], time_limit: float, options: PlanOptions
+) -> RobustnessOptimum:
+    """Return the greatest robustness, between two numbers, of plans of one size."""
+    found = solve_word_grid(task, size, rho, time_limit, options.robustness_gap)
+    best, events = found.rho, None
+    if len(task.scenario.objects) == 1:
+        # Where legs have many pieces, the search for the least path cost may take longer than there is time.
+        cheap = size.pieces > MANY
+        with suppress(SolverFailed):
+            events = found.reduce_cost(best) if cheap else found.read()
+    return RobustnessOptimum(size, best, rho[1], events=events)
+
+
+def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, options: PlanOptions) -> RobustnessOptimum:
+    """Return the optimum for several objects, starting from those of each object alone.
+
+    What the objects attain alone bounds what they attain together, in robustness and in number of impacts. First a
+    word is sought that attains both bounds; only if there is none are all words open (see `maximise_robustness`).
+
+    Args:
+        task, max_impacts, budget, options: as for `maximise_robustness`.
+
+    Raises:
+        Infeasible: no plan within max_impacts.
+        SolverFailed: out of time.
+    """
+    ceiling = compute_geometric_bound(task.scenario, task.demands, task.solver)
+    rho, pieces = ceiling, 1
+    hits: list[tuple[float, Hitter]] = []
+    for name in task.scenario.objects:
+        alone = restrict_to_object(task.scenario, name)
+        if alone is None:
+            continue
+        own = replace(task, scenario=alone, demands=read_demands(alone, task.reserves.wall))
+        optimum = maximise_robustness(own, max_impacts, budget, replace(options, expected=None))
+        rho, pieces = min(rho, optimum.rho), max(pieces, optimum.size.pieces)
+        events = optimum.events
+        if events is None or options.thorough:
+            events = minimise_path_cost(own, optimum.size, optimum.rho, options.cost, budget.left)
+        hits += zip(events.sequence.times[1:-1], events.sequence.hitters, strict=True)
+    seed = tuple(hitter for _, hitter in sorted(hits))
+    if len(seed) <= max_impacts:
+        size = GridSize(len(seed), pieces)
+        found = search_words(task, size, options.joint * rho, seed, lambda: budget.left / 2, options)
+        if found.words:
+            return RobustnessOptimum(size, rho, ceiling, found.words, found.bound)
+    fewest = len(seed) if options.expected is None else min(len(seed), options.expected)
+    return maximise_robustness(task, max_impacts, budget, options, fewest)

@@ -1,0 +1,89 @@
+"""What is said of a task without a plan: proven, with every restriction named, or not found, with what was tried."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from planners.budget import Budget
+from planners.errors import Infeasible, PlanningError, SolverFailed
+from planners.free_flyer.nominal.task import NominalTask
+
+SHARES = {0: "all", 1: "half", 2: "a quarter"}  # of the reserves that are left when they were halved so often
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Hold an attempt without a plan.
+
+    Args:
+        halvings: how often the reserves were halved.
+        pieces: numbers of pieces per leg.
+        error: why there is no plan.
+        rho: robustness of sequences of impacts that exist, but have no smooth motions; None: none were found [m].
+    """
+
+    halvings: int
+    pieces: tuple[int, ...]
+    error: PlanningError
+    rho: float | None = None
+
+    @property
+    def is_proof(self) -> bool:
+        """Return whether the event grid is proven to have no such plan."""
+        return self.rho is None and isinstance(self.error, Infeasible)
+
+
+def judge_trials(
+    trials: Sequence[Trial], task: NominalTask, max_impacts: int, budget: Budget, complete: bool
+) -> PlanningError:
+    """Return what attempts without a plan say about the task.
+
+    Args:
+        trials: in their order.
+        task: with the least reserves tried.
+        max_impacts: greatest number of impacts tried.
+        budget: time.
+        complete: whether nothing was left to try.
+
+    Returns:
+        `Infeasible` if all attempts are proofs, else `SolverFailed`.
+    """
+    problem, most = f"plan of {task.scenario.name}", max(max(trial.pieces) for trial in trials)
+    if complete and all(trial.is_proof for trial in trials):
+        status = f"proven infeasible with up to {max_impacts} impacts, {most} straight pieces a leg"
+        remedy = "allow more impacts or time, move the areas, or relax the formula"
+        return Infeasible(problem, f"{status} and {describe_reserves(task, trials[-1].halvings)}", remedy)
+    late = budget.left <= 0.0
+    limit = f"the time limit of {budget.limit:g} s" if late else "these numbers of impacts, pieces and reserves"
+    tried = f"with up to {max_impacts} impacts, {most} straight pieces a leg and {_name_reserves(trials)}"
+    status = f"no plan found, and none excluded, within {limit}: tried {tried}; {_describe_failures(trials, task)}"
+    remedy = "raise the time limit" if late else "allow more impacts or a longer horizon"
+    return SolverFailed(problem, status, f"{remedy}, give robots more thrust, or relax the formula")
+
+
+def describe_reserves(task: NominalTask, halvings: int) -> str:
+    """Return the reserves that a plan must keep, in words and in the user's units."""
+    reserves, length = task.reserves, task.frame.length
+    first, gap, last = reserves.times(task.scenario.horizon)
+    share = SHARES.get(halvings, f"1/{2**halvings}")
+    return (
+        f"{share} of the planner's reserves: {reserves.clearance * length:.3g} m between bodies, "
+        f"{reserves.wall * length:.3g} m from walls, {first:.3g} s before, {gap:.3g} s between and "
+        f"{last:.3g} s after impacts"
+    )
+
+
+def _name_reserves(trials: Sequence[Trial]) -> str:
+    names = list(dict.fromkeys(SHARES.get(trial.halvings, f"1/{2**trial.halvings}") for trial in trials))
+    return f"{' or '.join(names)} of the planner's reserves"
+
+
+def _describe_failures(trials: Sequence[Trial], task: NominalTask) -> str:
+    rough = [trial.rho for trial in trials if trial.rho is not None]
+    if rough:
+        best = max(rough) * task.frame.length
+        return f"impacts of robustness {best:.3g} m exist, but robots are not quick enough for their motions"
+    if any(trial.is_proof for trial in trials):
+        return "the numbers that could be decided are infeasible"
+    return "none of the numbers of impacts could be decided"
