@@ -13,12 +13,13 @@ from impact_envs.floating_manipulator.batch import ManipulatorBatch
 from impact_envs.floating_manipulator.step import Output, run_range
 from impact_envs.floating_manipulator.worlds import Arena, Memory, StepScratch, Worlds
 from impact_envs.stl.compiled_formula import CompiledFormula
-from planners.floating_manipulator.correction import correct_world
+from planners.floating_manipulator import world_loop
 from planners.floating_manipulator.expert_batch import FloatingManipulatorExpertBatch
-from planners.floating_manipulator.world_loop import control_world, observe_world, start_world, write_action
+from planners.floating_manipulator.world_loop import CONTROL, CORRECT, START, run_experts
 from planners.floating_manipulator.world_memory import ExpertMemory, ExpertScratch, ExpertTable
 
 RATE = 50_000  # control periods in a second, about
+LOOK = world_loop.OBSERVE
 
 
 class FloatingManipulatorLoop:
@@ -65,6 +66,16 @@ class FloatingManipulatorLoop:
 
 
 @compiled
+def find_part(todo: int) -> int:
+    """Return what the expert of a world does next, as `run_experts` calls it."""
+    if todo == BEGIN:
+        return START
+    if todo == ANSWER:
+        return CORRECT
+    return LOOK if todo == OBSERVE else CONTROL
+
+
+@compiled
 def run_until_due(
     arena: Arena,
     worlds: Worlds,
@@ -92,31 +103,27 @@ def run_until_due(
         left: control periods that may be run in this call, all worlds together; who calls can be interrupted then.
         first, end: range of worlds.
     """
-    chosen = options[0]
     for k in range(first, end):
-        if at.todo[k] == BEGIN:
-            start_world(table, expert, k)
-            at.todo[k] = OBSERVE
-        elif at.todo[k] == ANSWER:
-            correct_world(table, expert, chosen, k, at.corrections[k])
-            at.todo[k] = ADVANCE
         while at.todo[k] != REST:
             progress = worlds.progress[k]
-            if at.todo[k] == OBSERVE:
-                observe_world(table, expert, chosen, expert_scratch, k, at.joint)
+            if at.todo[k] == ADVANCE and left == 0:
+                return
+            part = find_part(at.todo[k])
+            run_experts(table, expert, options, expert_scratch, at.joint, at.corrections, at.actions, part, k, k + 1)
+            if part == START:
+                at.todo[k] = OBSERVE
+            elif part == CORRECT:
+                at.todo[k] = ADVANCE
+            elif part == LOOK:
                 rests = progress.steps >= arena.last or expert.state[k].is_awaited
                 at.todo[k] = REST if rests else ADVANCE
-                continue
-            if left == 0:
-                return
-            left -= 1
-            control_world(table, expert, chosen, expert_scratch, k)
-            write_action(table, expert, k, at.actions)
-            run_range(arena, worlds, memory, formula, scratch, output, at.actions, at.each, k, k + 1)
-            total = 0.0
-            for agent in range(output.rewards.shape[1]):
-                total += output.rewards[k, agent]
-            at.rewards[k] += total
-            at.steps[k] += 1
-            decided = progress.overflow + progress.lost > 0 or progress.steps >= horizon
-            at.todo[k] = REST if decided else OBSERVE
+            else:
+                left -= 1
+                run_range(arena, worlds, memory, formula, scratch, output, at.actions, at.each, k, k + 1)
+                total = 0.0
+                for agent in range(output.rewards.shape[1]):
+                    total += output.rewards[k, agent]
+                at.rewards[k] += total
+                at.steps[k] += 1
+                decided = progress.overflow + progress.lost > 0 or progress.steps >= horizon
+                at.todo[k] = REST if decided else OBSERVE

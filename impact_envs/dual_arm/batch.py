@@ -12,6 +12,7 @@ from gymnasium.utils import seeding
 from impact_envs.capacity import check_size
 from impact_envs.compiled import announce
 from impact_envs.dual_arm.schema import DualArmScenario
+from impact_envs.dual_arm.secrets import list_secrets
 from impact_envs.dual_arm.step import (
     LEAVE,
     RULES,
@@ -28,7 +29,7 @@ from impact_envs.dual_arm.task import EFFORT_PERIOD, DualArmTask
 from impact_envs.dual_arm.world import PLANT, WORLD, make_clock, start_world
 from impact_envs.errors import InputError
 from impact_envs.failure import NotFinite, check_finite
-from impact_envs.stl.compiler import compile_formula
+from impact_envs.stl.compiler import compile_formula, read_parts
 from impact_envs.stream import check_seed
 
 
@@ -47,6 +48,8 @@ class DualArmBatch:
         action_shape: of one world's actions.
         joint_size, agent_size: lengths of the joint observation and of an arm's own.
         task: of every world.
+        secrets: drawn physics of every world, as the task lists them, shape (N, secrets).
+        last: control periods after which an episode is over.
 
     Raises:
         InputError: too many worlds for the memory, or a count below 1.
@@ -76,12 +79,12 @@ class DualArmBatch:
         check_size(count, PLANT.itemsize + WORLD.itemsize + TASK.itemsize + 8 * (SIGNALS * 3 + self._formula.size + 3))
         announce(run_worlds)
         self.joint_size, self.agent_size = task.joint_layout.size, task.layouts[scenario.agents[0]].size
-        self._last = scenario.steps if max_cycles is None else min(max_cycles, scenario.steps)
+        self.last = scenario.steps if max_cycles is None else min(max_cycles, scenario.steps)
         self._rules = np.zeros(1, RULES)
         self._rules[0] = (
             scenario.control_period,
             scenario.horizon,
-            self._last,
+            self.last,
             scenario.world.diagonal,
             EFFORT_PERIOD,
         )
@@ -93,6 +96,7 @@ class DualArmBatch:
             bounds=np.zeros((count, 2)),
             outcome=np.zeros(count),
         )
+        self.secrets = np.zeros((count, task.secrets_layout.size))
         self._threads = min(threads, count)
         self._scratch = make_scratch(self._threads)
         self._generators: list[np.random.Generator] = [np.random.default_rng(0) for _ in range(count)]
@@ -138,12 +142,17 @@ class DualArmBatch:
     @property
     def over(self) -> np.ndarray:
         """Return which episodes are at their end, shape (N,)."""
-        return (self.steps >= self._last) | self.failed
+        return (self.steps >= self.last) | self.failed
 
     @property
     def decided(self) -> np.ndarray:
         """Return where nothing follows: at the horizon, or failed, shape (N,)."""
         return (self.steps >= self.scenario.steps) | self.failed
+
+    @property
+    def parts(self) -> np.ndarray:
+        """Return the intervals of the formula's temporal operators, as ``Monitor.parts``, shape (N, parts, 2) [m]."""
+        return read_parts(self._formula, self._memory.monitor)
 
     def describe_failures(self) -> np.ndarray:
         """Return why each world failed, "" where it did not, shape (N,) of texts."""
@@ -231,16 +240,21 @@ class DualArmBatch:
     def _draw(self, worlds: np.ndarray) -> None:
         """Draw the physics of some worlds, a mask, and put them at their starts."""
         for k in np.flatnonzero(worlds).tolist():
-            start_world(self.scenario, self.scenario.draw(self._generators[k]), self._plants, self._worlds, k)
+            physics = self.scenario.draw(self._generators[k])
+            start_world(self.scenario, physics, self._plants, self._worlds, k)
+            self.secrets[k] = list_secrets(physics)
+
+    def collect(self) -> tuple[Any, ...]:
+        """Return what every call of `run_worlds` takes before the output."""
+        records = self._plants, self._worlds, self._clock, self._rules, self._tasks
+        return *records, *map(tuple, (self._scratch, self._formula, self._memory))
 
     def _run(self, actions: np.ndarray, todo: np.ndarray, output: Output) -> None:
-        records = self._plants, self._worlds, self._clock, self._rules, self._tasks
-        tuples = tuple(map(tuple, (self._scratch, self._formula, self._memory, output)))
-        call = cast(Any, run_worlds)
+        world, shown, call = self.collect(), tuple(output), cast(Any, run_worlds)
 
         def run(thread: int) -> None:
             first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
-            call(*records, *tuples, actions, todo, thread, first, end)
+            call(*world, shown, actions, todo, thread, first, end)
 
         if self._threads == 1:
             run(0)

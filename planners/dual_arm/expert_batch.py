@@ -38,6 +38,8 @@ class DualArmExpertBatch:
 
     Attributes:
         correction_size, feature_size: of what `correct` takes and `features` returns for a world.
+        threads: that share the worlds.
+        arrays: what every call of `run_experts` takes before the observations.
 
     Raises:
         InputError: unknown variant, a solver that is not compiled, or options that do not fit the scenario.
@@ -63,11 +65,11 @@ class DualArmExpertBatch:
         believed = scenario.as_believed()
         found = load_impact_map(believed, chosen) if chosen.controller.impact_map else None
         law, impact_map = make_law(believed, chosen.controller, found), found or NO_MAP
-        self.count, self.size, self._threads = count, make_joint_layout(scenario).size, min(threads, count)
+        self.count, self.size, self.threads = count, make_joint_layout(scenario).size, min(threads, count)
         self._fresh = make_control(law, 1), make_expert_memory(believed, chosen, 1)
         self._control, self._expert = make_control(law, count), make_expert_memory(believed, chosen, count)
         fixed = law, make_rules(believed, chosen), impact_map.heights, impact_map.weights
-        self._arrays: tuple[np.ndarray, ...] = (*fixed, self._control, self._expert, make_scratch(law, self._threads))
+        self.arrays: tuple[np.ndarray, ...] = (*fixed, self._control, self._expert, make_scratch(law, self.threads))
         self._nothing = np.zeros((count, 0))
         self._pool: ThreadPoolExecutor | None = None
         self._run(OBSERVE, np.zeros((count, self.size)), self._nothing)  # compiles
@@ -157,8 +159,12 @@ class DualArmExpertBatch:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        *fixed, _, _, scratch = self._arrays
-        self._arrays = *fixed, self._control, self._expert, scratch  # copying makes others of them
+        *fixed, _, _, scratch = self.arrays
+        self.arrays = *fixed, self._control, self._expert, scratch  # copying makes others of them
+
+    def forget_world(self, k: int) -> None:
+        """Forget the episode of world k."""
+        self._control[k : k + 1], self._expert[k : k + 1] = self._fresh
 
     def _restart(self, worlds: np.ndarray) -> None:
         """Forget the episodes of some worlds, a mask."""
@@ -179,11 +185,11 @@ class DualArmExpertBatch:
         call = cast(Any, run_experts)
 
         def share(thread: int) -> None:
-            first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
-            call(*self._arrays, joint, output, part, thread, first, end)
+            first, end = thread * self.count // self.threads, (thread + 1) * self.count // self.threads
+            call(*self.arrays, joint, output, part, thread, first, end)
 
-        if self._threads == 1:
+        if self.threads == 1:
             share(0)
             return
-        self._pool = self._pool or ThreadPoolExecutor(self._threads)
-        list(self._pool.map(share, range(self._threads)))
+        self._pool = self._pool or ThreadPoolExecutor(self.threads)
+        list(self._pool.map(share, range(self.threads)))

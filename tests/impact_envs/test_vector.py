@@ -436,13 +436,3 @@ def test_what_the_exact_engine_does_not_take_is_refused():
             make_worlds(scenario)
     with pytest.raises(InputError, match="did you mean 'corridor'"):
         make_worlds("coridor")
-
-
-<<<<<<< HEAD
-@pytest.mark.parametrize("name", ["dual_arm_grasp"])
-=======
-@pytest.mark.parametrize("name", ["floating_manipulator"])
->>>>>>> arms
-def test_other_domains_are_refused(name):
-    with pytest.raises(InputError, match=f"scenario '{name}': domain '.*' has no batched engine"):
-        vector_env(name, 2)

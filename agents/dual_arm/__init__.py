@@ -1,0 +1,3 @@
+"""Two arms and a box: from decision to decision of many worlds in one compiled call."""
+
+LOOP = "agents.dual_arm.decision_loop:DualArmLoop"
