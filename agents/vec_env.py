@@ -30,9 +30,9 @@ class ImpactVecEnv(VecEnv):
     ``success``, and ``is_success``, of which SB3 logs the rate.
 
     Args:
-        scenario: a shipped name, the path of a TOML file, or a Scenario; of discs or a floating manipulator.
+        scenario: a shipped name, the path of a TOML file, or a Scenario; of discs.
         num_worlds: how many worlds.
-        per_robot: one environment per robot rather than per world; of free-flyers.
+        per_robot: one environment per robot rather than per world.
         max_cycles: truncate earlier than the horizon [control periods].
         dtype: of observations and of what the worlds store.
         threads: number that share the worlds; default: all cores.
@@ -65,10 +65,6 @@ class ImpactVecEnv(VecEnv):
         self.envs_per_world = 1
         if per_robot:
             batch = self.worlds.batch
-            if len(batch.action_shape) == 1:
-                raise InputError(
-                    f"per_robot: the agents of scenario '{self.scenario.name}' differ in their actions; leave it out"
-                )
             self.envs_per_world = batch.robots
             observation = Box(-np.inf, np.inf, (batch.agent_size,), batch.dtype)
             action = Box(-1.0, 1.0, (3,), np.float32)
