@@ -18,14 +18,13 @@ import numpy as np
 from impact_envs import parallel_env, rollout, vector_env
 from impact_envs.compiled import is_compiled
 from impact_envs.dual_arm.plant import advance_state as advance_arms
-from impact_envs.floating_manipulator.collision import hold_controls
-from impact_envs.floating_manipulator.step import run_range as run_manipulators
+from impact_envs.floating_manipulator.events import advance_to_event as advance_manipulator
 from impact_envs.free_flyer.engine import step_alone
 from impact_envs.free_flyer.step import run_tuples
 from impact_envs.rollout import ZeroPolicy
 from planners import make_expert
 from planners.dual_arm.torque_qp import assemble_ante
-from planners.floating_manipulator.world_loop import run_experts as run_manipulator_experts
+from planners.floating_manipulator.world_loop import run_experts as run_manipulators
 from planners.free_flyer.closed_loop.world_loop import run_experts
 
 ROOT = Path(__file__).parents[1]
@@ -62,7 +61,7 @@ JOBS: dict[str, tuple[Callable[[], None], tuple[Callable[..., object], ...]]] = 
     "free-flyers' expert": (compile_free_flyers_expert, (run_experts,)),
     "vector environment": (compile_vector_environment, (run_tuples,)),
     "engine and arms": (compile_engine_and_arms, (step_alone, advance_arms, assemble_ante)),
-    "manipulators": (compile_manipulators, (hold_controls, run_manipulators, run_manipulator_experts)),
+    "manipulators": (compile_manipulators, (advance_manipulator, run_manipulators)),
 }
 
 
