@@ -53,8 +53,9 @@ def compile_engine_and_arms() -> None:
 
 
 def compile_manipulators() -> None:
-    """Reach for one period."""
+    """Reach for one period, and start one world of many."""
     name = "floating_manipulator_thrusters"
+    vector_env(name, 1, threads=1).reset(seed=0)
     rollout(parallel_env(name, max_cycles=1), make_expert(name), 0)
 
 

@@ -136,6 +136,18 @@ class ManipulatorBatch:
         """Return the intervals of the formula's temporal operators, as ``Monitor.parts``, shape (N, parts, 2) [m]."""
         return read_parts(self._formula, self._memory.monitor)
 
+    @property
+    def agent_size(self) -> int:
+        """Return the length of an agent's own observation, for learners that share one policy among all agents.
+
+        Raises:
+            InputError: the agents' actions are not of three numbers each, so that they cannot share one.
+        """
+        joints = len(self.scenario.links)
+        if joints != 3:
+            raise InputError(f"per_robot: scenario '{self.scenario.name}' has {joints} joints; a shared policy needs 3")
+        return self.joint_size
+
     def describe_failures(self) -> np.ndarray:
         """Return why each world failed, "" where it did not, shape (N,) of texts."""
         texts = np.full(self.count, "", dtype=object)
