@@ -233,7 +233,7 @@ class _Climber:
             if self.hurry and optimum.events is not None:
                 rough.append(optimum.events.sequence.hitters)
                 raise SolverFailed("smoothing", "there is a plan already", "raise the time limit")
-            if optimum.size.pieces > MANY and optimum.events is not None:
+            if optimum.events is not None and (optimum.size.pieces > MANY or optimum.words):
                 return _plan_long_ways(task, optimum, optimum.events, rough, budget, options)
             return _plan_events(task, optimum, rough, budget, options)
         except PlanningError as error:

@@ -11,7 +11,7 @@ from planners.budget import Budget
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.event_sequence import Hitter, Word
 from planners.free_flyer.nominal.least_cost import CostOptimum, minimise_path_cost
-from planners.free_flyer.nominal.sequence_search import restrict_to_object, search_words
+from planners.free_flyer.nominal.sequence_search import lengthen_words, restrict_to_object, search_words
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.word_grid import solve_word_grid
 from planners.free_flyer.specification.grid import GridSize
@@ -32,7 +32,8 @@ class RobustnessOptimum:
         bound: what no plan of any kind can exceed [m].
         words: who hits what, least path cost first; empty: anybody anything.
         cost_bound: no word has a smaller path cost [m^2/s].
-        events: that attain the robustness at any path cost, for when there is no time for the least; one object only.
+        events: that attain the robustness at any path cost, for when there is no time for the least; of several
+            objects only where they need more impacts than one by one.
     """
 
     size: GridSize
@@ -168,8 +169,32 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
     seed = tuple(hitter for _, hitter in sorted(hits))
     if len(seed) <= max_impacts:
         size = GridSize(len(seed), pieces)
-        found = search_words(task, size, options.joint * rho, seed, lambda: budget.left / 2, options)
+        share = 4 if options.thorough else 2
+        found = search_words(task, size, options.joint * rho, seed, lambda: budget.left / share, options)
         if found.words:
             return RobustnessOptimum(size, rho, ceiling, found.words, found.bound)
+    if options.thorough:
+        longer = _find_longer(task, max_impacts, (rho, ceiling), max(pieces, MANY), seed, budget, options)
+        if longer is not None:
+            return longer
     fewest = len(seed) if options.expected is None else min(len(seed), options.expected)
     return maximise_robustness(task, max_impacts, budget, options, fewest)
+
+
+def _find_longer(
+    task: NominalTask,
+    max_impacts: int,
+    rho: tuple[float, float],
+    pieces: int,
+    seed: Word,
+    budget: Budget,
+    options: PlanOptions,
+) -> RobustnessOptimum | None:
+    """Return the optimum of words with more impacts than the objects need one by one; None: none was found."""
+    end = budget.elapsed + 0.7 * budget.left
+    for extra, share in itertools.product(range(1, max_impacts - len(seed) + 1), options.search.longer_shares):
+        size, kept = GridSize(len(seed) + extra, pieces), share * options.joint * rho[0]
+        found = lengthen_words(task, size, kept, seed, lambda: end - budget.elapsed, options)
+        if found.words:
+            return RobustnessOptimum(size, kept, rho[1], found.words, events=found.events)
+    return None

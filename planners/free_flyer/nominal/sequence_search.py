@@ -11,7 +11,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import Always, And, Formula
 from planners.errors import Infeasible, PlanningError
 from planners.free_flyer.nominal.event_sequence import Word
-from planners.free_flyer.nominal.least_cost import build_cost_problem, read_word
+from planners.free_flyer.nominal.least_cost import CostOptimum, build_cost_problem, read_word
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions, Wish
 from planners.free_flyer.specification.grid import GridSize
 
@@ -23,10 +23,12 @@ class FoundWords:
     Args:
         words: that have plans, least path cost first.
         bound: no word of this length costs less [m^2/s].
+        events: of the first word, where they were kept.
     """
 
     words: tuple[Word, ...]
     bound: float
+    events: CostOptimum | None = None
 
 
 def restrict_to_object(scenario: FreeFlyerScenario, name: str) -> FreeFlyerScenario | None:
@@ -101,6 +103,49 @@ def search_words(
     return FoundWords(tuple(word for _, word in ranked), bound)
 
 
+def lengthen_words(
+    task: NominalTask,
+    size: GridSize,
+    rho: float,
+    seed: Word,
+    find_time_left: Callable[[], float],
+    options: PlanOptions,
+) -> FoundWords:
+    """Search for words with more impacts than a word that has no plan, so that objects pass each other.
+
+    An object is sent round another one by an impact between its others; these are tried first. The search ends with
+    the first few words that have plans.
+
+    Args:
+        task: what is asked.
+        size: of the grid, with the number of impacts wanted.
+        rho: robustness to keep [m].
+        seed: word that is lengthened.
+        find_time_left: returns the time left [s].
+        options: of the search, and of the path cost.
+
+    Returns:
+        The words with plans; empty if the search found none. Their cost has no bound.
+    """
+
+    def find_time_of_one() -> float:
+        return min(options.search.longest, find_time_left())
+
+    search = _Search(task, size, rho, options.cost.wishes[-1], find_time_of_one, options)
+    words = {seed}
+    for _ in range(size.impacts - len(seed)):
+        words = {longer for word in words for longer in _list_longer(task.scenario, word)}
+    found: dict[Word, float] = {}
+    for word in sorted(words, key=lambda word: (-_count_turns(word, seed), word)):
+        if find_time_left() <= 0.0 or len(found) >= options.search.few_longer:
+            break
+        cost = search.measure(word)
+        if cost < math.inf:
+            found[word] = cost
+    ranked = tuple(sorted(found, key=lambda word: found[word]))
+    return FoundWords(ranked, 0.0, search.events[ranked[0]] if ranked else None)
+
+
 @dataclass
 class _Search:
     """Hold the costs of the words tried under one wish; arguments as for `search_words`."""
@@ -112,6 +157,7 @@ class _Search:
     find_time_left: Callable[[], float]
     options: PlanOptions
     costs: dict[Word, float] = field(default_factory=dict)
+    events: dict[Word, CostOptimum] = field(default_factory=dict)
 
     def measure(self, word: Word, best: float = math.inf) -> float:
         """Return the least cost of a word; infinite if it has no plan, or none better than the best."""
@@ -138,7 +184,8 @@ class _Search:
             problem = build_cost_problem(self.task, self.size, self.rho, self.wish, cost, limit, word)
             if problem.relax()[0] >= (1.0 - options.gap) * best:
                 return math.inf
-            return problem.solve(options.weight, options.gap).cost
+            self.events[word] = problem.solve(options.weight, options.gap)
+            return self.events[word].cost
         except PlanningError:
             return math.inf
 
@@ -166,3 +213,18 @@ def _bound_cost(
     except Infeasible:
         return math.inf, None
     return max(bound, 0.0), read_word(problem.grid, point) if nodes and point is not None else None
+
+
+def _list_longer(scenario: FreeFlyerScenario, word: Word) -> Iterator[Word]:
+    """Yield the words with one more impact, anywhere, by anybody, on anything."""
+    for k, robot, name in itertools.product(range(len(word) + 1), scenario.robots, scenario.objects):
+        yield (*word[:k], (robot, name), *word[k:])
+
+
+def _count_turns(word: Word, seed: Word) -> int:
+    """Return how many impacts of a word turn an object in flight, up to as many as it has more than the seed."""
+    turns = 0
+    for k, (_, name) in enumerate(word):
+        before, after = ([struck for _, struck in part] for part in (word[:k], word[k + 1 :]))
+        turns += name in before and name in after
+    return min(turns, len(word) - len(seed))

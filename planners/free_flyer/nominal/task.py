@@ -118,6 +118,9 @@ class WordSearchOptions:
         few: greatest number of such binaries; with more, the linear relaxation alone is the bound.
         evaluations: greatest number of sequences tried.
         improve: whether to look on after the first sequence that has a plan, and to bound the cost.
+        longest: time for one sequence of more impacts than the objects need one by one [s].
+        few_longer: number of such sequences with plans after which no other one is tried.
+        longer_shares: shares of the robustness that the objects attain one by one, tried in turn for such sequences.
     """
 
     gap: float = 0.01
@@ -127,6 +130,9 @@ class WordSearchOptions:
     few: int = 24
     evaluations: int = 60
     improve: bool = True
+    longest: float = 6.0
+    few_longer: int = 2
+    longer_shares: tuple[float, ...] = (1.0, 0.6)
 
 
 @dataclass(frozen=True)
