@@ -219,6 +219,11 @@ class DualArmBatch:
             rewards=np.empty((n, 2), self.dtype),
         )
 
+    def collect(self, output: Output) -> tuple[Any, ...]:
+        """Return the arrays that ``run_worlds`` takes first."""
+        records = self._plants, self._worlds, self._clock, self._rules, self._tasks
+        return *records, *map(tuple, (self._scratch, self._formula, self._memory, output))
+
     def close(self) -> None:
         """Let the threads go; the next step starts new ones."""
         if self._pool is not None:
@@ -234,13 +239,11 @@ class DualArmBatch:
             start_world(self.scenario, self.scenario.draw(self._generators[k]), self._plants, self._worlds, k)
 
     def _run(self, actions: np.ndarray, todo: np.ndarray, output: Output) -> None:
-        records = self._plants, self._worlds, self._clock, self._rules, self._tasks
-        tuples = tuple(map(tuple, (self._scratch, self._formula, self._memory, output)))
-        call = cast(Any, run_worlds)
+        arrays, call = self.collect(output), cast(Any, run_worlds)
 
         def run(thread: int) -> None:
             first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
-            call(*records, *tuples, actions, todo, thread, first, end)
+            call(*arrays, actions, todo, thread, first, end)
 
         if self._threads == 1:
             run(0)
