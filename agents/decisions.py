@@ -21,8 +21,8 @@ class Loop(Protocol):
     def run(self, thread: int, first: int, end: int) -> None:
         """Run the worlds from first to before end until they rest or are to be polled; for PATIENCE, about."""
 
-    def forget(self, k: int) -> None:
-        """Forget what world k, whose episode starts, did outside of compiled code."""
+    def forget(self, worlds: np.ndarray) -> None:
+        """Forget what worlds whose episodes start, a mask, shape (N,), did outside of compiled code."""
 
     def poll(self, k: int) -> None:
         """Do what world k needs outside of compiled code before it observes."""
@@ -71,11 +71,9 @@ class Decisions:
             worlds: mask, shape (N,) bool.
             seeds: of their episodes, in their order, shape (m,).
         """
-        numbers = np.flatnonzero(worlds)
-        self.batch.seed(numbers, seeds)
+        self.batch.seed(np.flatnonzero(worlds), seeds)
         self.batch.start(worlds, self._output)
-        for k in numbers.tolist():
-            self._loop.forget(k)
+        self._loop.forget(worlds)
         self._progress.rewards[worlds], self._progress.steps[worlds] = 0.0, 0
         self._progress.todo[worlds] = BEGIN
         self._run()

@@ -37,13 +37,11 @@ class DualArmLoop:
         """Run the worlds from first to before end until they rest; for PATIENCE, about."""
         world = *self._batch.collect(), tuple(self._output)
         limits = self._batch.last, self._batch.scenario.steps, int(PATIENCE * RATE)
-        progress = self._progress
-        flat = progress.actions.reshape(len(progress.actions), -1)
-        cast(Any, run_until_due)(*world, *self._experts.arrays, tuple(progress), flat, *limits, thread, first, end)
+        cast(Any, run_until_due)(*world, *self._experts.arrays, tuple(self._progress), *limits, thread, first, end)
 
-    def forget(self, k: int) -> None:
-        """Forget the episode of world k."""
-        self._experts.forget_world(k)
+    def forget(self, worlds: np.ndarray) -> None:
+        """Forget the episodes of some worlds, a mask, shape (N,)."""
+        self._experts.forget_worlds(worlds)
 
     def poll(self, k: int) -> None:
         """Nothing is done outside of compiled code."""
@@ -68,7 +66,6 @@ def run_until_due(
     expert: np.ndarray,
     expert_scratch: np.ndarray,
     progress: tuple,
-    flat: np.ndarray,
     last: int,
     horizon: int,
     left: int,
@@ -82,7 +79,6 @@ def run_until_due(
         plants, worlds, clock, rules, tasks, scratch, formula, memory, output: as ``run_worlds`` takes them.
         law, expert_rules, heights, weights, control, expert, expert_scratch: as ``run_experts`` takes them.
         progress: the fields of Progress.
-        flat: its actions, shape (N, 6).
         last: control periods after which an episode is over.
         horizon: control periods at which the formula is decided: nothing is observed there any more.
         left: control periods that may be run in this call, all worlds together; who calls can be interrupted then.
@@ -102,8 +98,8 @@ def run_until_due(
                 return
             part = LOOK if at.todo[k] == OBSERVE else CONTROL
             run_experts(
-                law, expert_rules, heights, weights, control, expert, expert_scratch, at.joint, flat, part, thread, k,
-                k + 1,
+                law, expert_rules, heights, weights, control, expert, expert_scratch, at.joint, at.actions, part, thread,
+                k, k + 1,
             )  # fmt: skip
             if part == LOOK:
                 at.todo[k] = REST if tasks[k].steps >= last or expert[k].awaiting else ADVANCE

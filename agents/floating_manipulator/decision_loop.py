@@ -43,7 +43,7 @@ class FloatingManipulatorLoop:
         """Run the worlds from first to before end until they rest; for PATIENCE, about."""
         self._call(*self._collect(thread), int(PATIENCE * RATE), first, end)
 
-    def forget(self, k: int) -> None:
+    def forget(self, worlds: np.ndarray) -> None:
         """Nothing is done outside of compiled code."""
 
     def poll(self, k: int) -> None:

@@ -49,10 +49,11 @@ class FreeFlyerLoop:
             arguments = *world, tuple(plan), *expert, tuple(self._progress), self._wake, *limits, thread, *ends
             cast(Any, run_until_due)(*arguments)
 
-    def forget(self, k: int) -> None:
-        """Forget plans of its own and questions of world k, whose episode starts."""
-        self._experts.forget_world(k)
-        self._wake[k] += np.inf  # not where it is NaN
+    def forget(self, worlds: np.ndarray) -> None:
+        """Forget the plans of their own and the questions of some worlds, a mask, shape (N,)."""
+        for k in np.flatnonzero(worlds).tolist():
+            self._experts.forget_world(k)
+        self._wake[worlds] += np.inf  # not where it is NaN
 
     def poll(self, k: int) -> None:
         """Let world k ask for a new plan, or take one over."""

@@ -56,8 +56,8 @@ class DualArmExpert:
         self._rules = make_rules(believed, options)
         self._fresh, self._memory = (make_expert_memory(believed, options, 1) for _ in range(2))
         self._sizes = dict.fromkeys(scenario.arms, make_layout().size)
-        self._joint, self._actions = np.zeros((1, 2 * ARM.size)), np.zeros((1, 6))
-        self._features = np.zeros((1, FEATURE_SIZE))
+        self._joint, self._actions = np.zeros((1, 2 * ARM.size)), np.zeros((1, 2, 3))
+        self._features = np.zeros((1, 1, FEATURE_SIZE))
         self._limits = np.array([scenario.links.torque_limits] * 2, dtype=float)
         announce(run_experts)
         self._bind()
@@ -132,7 +132,7 @@ class DualArmExpert:
             (3) [m/s, rad/s]; the corrections in effect (2). Zeros before full contact.
         """
         self._run(FEATURES, self._features)
-        return self._features[0].copy()
+        return self._features[0, 0].copy()
 
     def control(self) -> dict[str, np.ndarray]:
         """Return each arm's action in [-1, 1], shape (3,): joint torques over their limits."""
@@ -141,8 +141,8 @@ class DualArmExpert:
             self._run(CONTROL, self._actions)
         else:
             self._run(CORRECT, self._actions)
-            self._actions[0] = (self.controller.compute_torques() / self._limits).ravel()
-        actions = self._actions.reshape(2, 3).copy()
+            self._actions[0] = self.controller.compute_torques() / self._limits
+        actions = self._actions[0].copy()
         self._solve_seconds.append(self._seconds + time.perf_counter() - begin)
         return dict(zip(self._scenario.arms, actions, strict=True))
 

@@ -39,7 +39,7 @@ class DualArmExpertBatch:
     Attributes:
         correction_size, feature_size: of what `correct` takes and `features` returns for a world.
         threads: that share the worlds.
-        arrays: what every call of `run_experts` takes before the observations.
+        arrays: that `run_experts` takes first.
 
     Raises:
         InputError: unknown variant, a solver that is not compiled, or options that do not fit the scenario.
@@ -70,10 +70,11 @@ class DualArmExpertBatch:
         self._control, self._expert = make_control(law, count), make_expert_memory(believed, chosen, count)
         fixed = law, make_rules(believed, chosen), impact_map.heights, impact_map.weights
         self.arrays: tuple[np.ndarray, ...] = (*fixed, self._control, self._expert, make_scratch(law, self.threads))
-        self._nothing = np.zeros((count, 0))
+        self._nothing = np.zeros((count, 0, 0))
         self._pool: ThreadPoolExecutor | None = None
-        self._run(OBSERVE, np.zeros((count, self.size)), self._nothing)  # compiles
-        self._restart(np.ones(count, bool))
+        self._unread = np.zeros((count, self.size))
+        self._run(OBSERVE, self._unread, self._nothing)  # compiles
+        self.forget_worlds(np.ones(count, bool))
 
     @property
     def counts(self) -> dict[str, np.ndarray]:
@@ -113,15 +114,15 @@ class DualArmExpertBatch:
         joint = self._check(observations)
         starts = (joint[:, -1] == 0.0) & joint[:, : 2 * ARM.size].any(axis=1)
         if starts.any():
-            self._restart(starts)
+            self.forget_worlds(starts)
         self._run(OBSERVE, joint, self._nothing)
         return self.awaiting_correction
 
     def features(self) -> np.ndarray:
         """Return what a learner may see of every world's grasp, as `DualArmExpert.features`, shape (N, 22)."""
-        features = np.empty((self.count, FEATURE_SIZE))
-        self._run(FEATURES, features, features)
-        return features
+        features = np.empty((self.count, 1, FEATURE_SIZE))
+        self._run(FEATURES, self._unread, features)
+        return features[:, 0]
 
     def correct(self, worlds: np.ndarray, corrections: np.ndarray) -> np.ndarray:
         """Set the corrections of grip and load of some worlds, as DualArmExpert does.
@@ -144,9 +145,13 @@ class DualArmExpertBatch:
 
     def control(self) -> np.ndarray:
         """Return every world's joint action, in [-1, 1], shape (N, 6)."""
-        actions = np.empty((self.count, 6))
-        self._run(CONTROL, actions, actions)
-        return actions
+        actions = np.empty((self.count, 2, 3))
+        self._run(CONTROL, self._unread, actions)
+        return actions.reshape(self.count, -1)
+
+    def forget_worlds(self, worlds: np.ndarray) -> None:
+        """Forget the episodes of some worlds, a mask, shape (N,)."""
+        self._control[worlds], self._expert[worlds] = self._fresh
 
     def close(self) -> None:
         """Let the threads go; the next act starts new ones."""
@@ -161,14 +166,6 @@ class DualArmExpertBatch:
         self.__dict__.update(state)
         *fixed, _, _, scratch = self.arrays
         self.arrays = *fixed, self._control, self._expert, scratch  # copying makes others of them
-
-    def forget_world(self, k: int) -> None:
-        """Forget the episode of world k."""
-        self._control[k : k + 1], self._expert[k : k + 1] = self._fresh
-
-    def _restart(self, worlds: np.ndarray) -> None:
-        """Forget the episodes of some worlds, a mask."""
-        self._control[worlds], self._expert[worlds] = self._fresh
 
     def _check(self, observations: np.ndarray) -> np.ndarray:
         """Return observations as float64, or raise InputError."""

@@ -46,6 +46,44 @@ def observe_world(law: np.record, rules: np.record, memory: np.record, expert: n
 
 
 @inlined
+def read_world(law: np.record, rules: np.record, memory: np.record, expert: np.record, joint: np.ndarray) -> None:
+    """Take a world's joint observation, and observe.
+
+    Args:
+        law, rules, memory, expert: see `observe_world`.
+        joint: what is measured of both arms, shape (2 ROW or more,).
+    """
+    for i in range(2):
+        for j in range(ROW):
+            expert.rows[i, j] = joint[ROW * i + j]
+    observe_world(law, rules, memory, expert)
+
+
+@inlined
+def control_world(
+    law: np.record,
+    rules: np.record,
+    impact_map: ImpactMap,
+    memory: np.record,
+    expert: np.record,
+    scratch: np.record,
+    actions: np.ndarray,
+) -> None:
+    """Apply the correction and compute a world's actions.
+
+    Args:
+        law, rules, memory, expert: see `observe_world`.
+        impact_map, scratch: see `control_arms`.
+        actions: joint torques over their limits, written, shape (2, 3).
+    """
+    apply_correction(law, rules, memory, expert)
+    control_arms(law, impact_map, memory, scratch)
+    for i in range(2):
+        for j in range(3):
+            actions[i, j] = memory.torques[i, j] / law.limits[i, j]
+
+
+@inlined
 def apply_correction(law: np.record, rules: np.record, memory: np.record, expert: np.record) -> None:
     """Move grip and load towards the correction, at a limited rate.
 
@@ -119,25 +157,18 @@ def run_experts(
         memory, expert: CONTROL and EXPERT, shape (N,).
         scratch: SCRATCH, shape (T,).
         joint: what is measured of both arms, for OBSERVE, shape (N, 2 ROW or more).
-        output: actions in [-1, 1] after CONTROL, shape (N, 6); features after FEATURES, shape (N, 22).
+        output: actions in [-1, 1] after CONTROL, shape (N, 2, 3); features after FEATURES, shape (N, 1, 22).
         part: OBSERVE; CONTROL; CORRECT, which applies corrections alone; or FEATURES.
         thread: whose scratch.
         first, end: worlds.
     """
     impact_map, laws, ruled = ImpactMap(heights, weights, law[0].rho), law[0], rules[0]
     for k in range(first, end):
-        own = expert[k]
         if part == OBSERVE:
-            for i in range(2):
-                for j in range(ROW):
-                    own.rows[i, j] = joint[k, ROW * i + j]
-            observe_world(laws, ruled, memory[k], own)
+            read_world(laws, ruled, memory[k], expert[k], joint[k])
         elif part == FEATURES:
-            write_features(laws, memory[k], own, output[k])
+            write_features(laws, memory[k], expert[k], output[k, 0])
+        elif part == CONTROL:
+            control_world(laws, ruled, impact_map, memory[k], expert[k], scratch[thread], output[k])
         else:
-            apply_correction(laws, ruled, memory[k], own)
-            if part == CONTROL:
-                control_arms(laws, impact_map, memory[k], scratch[thread])
-                for i in range(2):
-                    for j in range(3):
-                        output[k, 3 * i + j] = memory[k].torques[i, j] / laws.limits[i, j]
+            apply_correction(laws, ruled, memory[k], expert[k])

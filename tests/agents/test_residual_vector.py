@@ -27,6 +27,15 @@ EVERYWHERE = ("seed", "control_steps")
 ENDS = ("robustness", "success", "decided")
 
 
+# Short episodes in which every domain's expert awaits corrections.
+SHORT = {
+    "dual_arm_grasp": load_scenario("dual_arm_grasp").override(
+        {"horizon": 1.3, "formula": "G[0,1.3] box.lag <= 0.015"}
+    ),
+    "floating_manipulator_thrusters": load_scenario("floating_manipulator_thrusters").shorten(0.1),
+}
+
+
 def make(name: str, suite: str = "all", worlds: int = WORLDS, **options: Any) -> ResidualVectorEnv:
     return ResidualVectorEnv(name, worlds, suite, get_plan(name, suite), threads=options.pop("threads", 1), **options)
 
@@ -74,6 +83,13 @@ def test_worlds_are_residual_envs_bit_for_bit_across_episodes(mode: str) -> None
     assert mine.single_observation_space == theirs.single_observation_space
     assert mine.single_action_space == theirs.single_action_space
     assert check_equal(mine, theirs, 10) >= 2 * WORLDS
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_worlds_of_other_domains_are_residual_envs_bit_for_bit(name: str) -> None:
+    mine = ResidualVectorEnv(SHORT[name], WORLDS, "all", threads=2)
+    theirs = SyncVectorEnv([lambda: ResidualEnv(SHORT[name], "all")] * WORLDS)
+    assert check_equal(mine, theirs, 12) >= WORLDS
 
 
 def test_a_cut_is_no_decided_end_and_shows_the_features_there() -> None:
