@@ -184,6 +184,10 @@ def _halve_reserves(task: NominalTask, times: int) -> NominalTask:
     return task
 
 
+# By so much a path cost may be below its bound, because impact times are rounded to control steps.
+DISPROOF = 1e-3
+
+
 @dataclass
 class _Climber:
     """Hold one attempt.
@@ -457,7 +461,7 @@ def _finish(
         bound=optimum.bound,
         gap=optimum.bound - rho,
         effort=events.cost,
-        effort_bound=(optimum.cost_bound if optimum.words else events.bound) or None,
+        effort_bound=_read_cost_bound(optimum, events),
         impacts=impacts,
         robots=curves,
         objects={name: make_object_curve(sequence, name) for name in scenario.objects},
@@ -476,6 +480,13 @@ def _finish(
         stage_seconds=dict(budget.stages),
         validated=True,
     )
+
+
+def _read_cost_bound(optimum: RobustnessOptimum, events: CostOptimum) -> float | None:
+    """Return the proven lower bound of the path cost [m^2/s]; None: there is none, or the events disprove it."""
+    bound = optimum.cost_bound if optimum.words else events.bound
+    # Solvers of mixed-integer problems err at times: rows hold, and a bound is proven, within tolerances only.
+    return min(bound, float(events.cost)) if 0.0 < bound <= events.cost * (1.0 + DISPROOF) else None
 
 
 def _check_arguments(scenario: FreeFlyerScenario, max_impacts: int, time_limit: float) -> None:

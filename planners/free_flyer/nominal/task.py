@@ -178,7 +178,7 @@ class PlanOptions:
     robustness_gap: float = 1e-6
     pieces: tuple[int, ...] = (1, 2)
     most_pieces: int = 6
-    attempt_share: float = 0.6
+    attempt_share: float = 0.35
     patience: tuple[float, ...] = (1.05, 1.2, 1.5, 2.0)
     less: tuple[float, ...] = (1.0, 0.85, 0.7, 0.5, 0.3)
     satisfying: float = 0.9

@@ -25,7 +25,8 @@ class DeviationOptimum:
     Args:
         size: of the grid that bears most.
         delta: greatest deviation found [m/s].
-        bound: proven upper bound of it, over the numbers of impacts tried [m/s].
+        bound: proven upper bound of it, over the numbers of impacts allowed; where time ended the search before all of
+            them were tried, what no plan with any number can exceed [m/s].
     """
 
     size: GridSize
@@ -61,6 +62,7 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
     for pieces, passing in options.families:
         best: DeviationOptimum | None = None
         bounds: dict[GridSize, float] = {}
+        untried = 0.0
         for impacts in range(1, max_impacts + 1):
             size, wanted = GridSize(impacts, pieces, passing), best.delta * (1.0 + options.worth) if best else 0.0
             if wanted >= ceiling:
@@ -71,6 +73,7 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
             except SolverFailed:
                 if best is None:
                     raise
+                untried = ceiling
                 break
             if delta > wanted:
                 best = DeviationOptimum(size, delta, bounds[size])
@@ -80,7 +83,7 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
                 delta, bound = search_deviation(task, best.size, best.delta, best.bound, options.gap, left)
                 bounds[best.size] = bound
                 best = DeviationOptimum(best.size, delta, bound)
-            return replace(best, bound=max(bounds.values()))
+            return replace(best, bound=max(untried, *bounds.values()))
     status = f"proven that no plan with up to {max_impacts} impacts bears a deviation of {options.smallest:g} m/s"
     raise Infeasible(f"plan of {task.scenario.name}", status, "allow more impacts or time, or relax the formula")
 

@@ -46,8 +46,8 @@ def make_impact_robust_plan(
     Between impacts the object's boxes grow by delta times the time; from any place in its box, robots hit it towards
     the next box. `deviation_bound` is proven for plans of this family: boxes per axis, wanted velocities that are
     affine in the position, legs of robots within the reserves, every robot on one side of the object throughout, at
-    least one and at most `max_impacts` impacts (fewer if a quarter of the time limit ended the search). Where it equals
-    what the last leg alone allows, it holds for any number of impacts.
+    least one and at most `max_impacts` impacts. Where a quarter of the time limit ended the search before all of them
+    were tried, it is what the last leg alone allows, which holds for any number of impacts.
 
     Robots are discs: contact points, clearances, the robot's own deviation by momentum and the room to come to a halt
     are part of the plan. Limits hold on control points of the four curves of every robot; the simulation of the closed

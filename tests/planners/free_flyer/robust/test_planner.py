@@ -8,7 +8,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.physics.impact import compute_mass_fractions
 from impact_envs.scenario import load_scenario
 from planners import make_plan
-from planners.errors import Infeasible
+from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.robust.conditions import Conditions
 from planners.free_flyer.robust.deviation_search import compute_ceiling, maximise_deviation
@@ -142,3 +142,17 @@ def test_longer_tasks_have_plans_that_the_closed_loop_confirms(name: str) -> Non
 def test_bad_options_are_named(name: str, options: dict, word: str) -> None:
     with pytest.raises(InputError, match=word):
         make_plan(name, "impact_uncertainty", **options)
+
+
+def test_a_search_cut_by_time_claims_no_bound_below_what_the_last_leg_allows(monkeypatch: pytest.MonkeyPatch) -> None:
+    task, found = _task("corridor", 5.0), (0.02, 0.021)
+
+    def search(_: RobustTask, size: GridSize, *__: float) -> tuple[float, float]:
+        if size.impacts > 2:
+            raise SolverFailed("box grid", "time limit reached", "raise the time limit")
+        return found
+
+    monkeypatch.setattr("planners.free_flyer.robust.deviation_search.search_deviation", search)
+    optimum = maximise_deviation(task, 6, 60.0)
+    assert optimum.delta == found[0]
+    assert optimum.bound == compute_ceiling(task) > found[1]
