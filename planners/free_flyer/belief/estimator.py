@@ -29,6 +29,7 @@ from planners.free_flyer.belief.offset import (
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.readings import (
+    EXPECTED,
     MISSING,
     REJECTED,
     SURPRISING,
@@ -36,6 +37,7 @@ from planners.free_flyer.belief.readings import (
     judge_reading,
     open_tracks,
 )
+from planners.free_flyer.belief.thruster import learn_thrust
 from planners.free_flyer.belief.world_memory import BLANK_FILTER, NOBODY, UNKNOWN, WorldMemory
 from planners.measurement import LARGEST
 
@@ -215,6 +217,7 @@ def update_estimates(
         if 0.5 < joint[k, find_contact_place(n, i)] < 1.5:
             calm = False
             other = find_nearest(plan, memory, options, k, i)
+            memory.thrust[k, i].ready = now + options.thruster.settle
             memory.touch[k, i] = other
             memory.track[k, i].doubted = memory.track[k, i if other == UNKNOWN else other].doubted = -math.inf
             if other == UNKNOWN:
@@ -237,6 +240,8 @@ def update_estimates(
         memory.track[k, i].use = use
         if use == SURPRISING:
             add_jump(z, 0.0, 0.0, 0.0, 0.0, miss, miss / plan.period)
+            if i < r:
+                memory.thrust[k, i].ready = now + options.thruster.settle
         calm = calm and use != SURPRISING and use != REJECTED
     learn_noise(memory, options, k, joint, r, calm)
     variance = memory.sensor[k].sigma * memory.sensor[k].sigma
@@ -266,6 +271,11 @@ def update_estimates(
             correct_centre_velocity(z, vx, vy, slow * slow * variance, heading.angle, heading.rate)
         elif is_speed:
             correct_velocity(z, vx, vy, slow * slow * variance)
+    for i in range(r if options.thrusters else 0):
+        z, at = memory.filter[k, i], BODY_SIZE * i
+        is_read = memory.track[k, i].use == EXPECTED
+        x, y = (joint[k, at + X], joint[k, at + Y]) if is_read else (z.position[0], z.position[1])
+        learn_thrust(memory.thrust[k, i], options, z, memory.heading[k, i].angle, x, y, memory.sensor[k].sigma, now, h)
     for i in range(r, n):
         weigh_drift(memory.filter[k, i], options)
 
@@ -274,9 +284,10 @@ def update_estimates(
 def turn_body(memory: WorldMemory, k: int, i: int, angle: float) -> None:
     """Turn body i to a heading; its geometric centre goes along."""
     heading = memory.heading[k, i]
-    swing_centre(memory.filter[k, i], heading.angle, angle)
-    if memory.time[k] <= memory.track[k, i].doubted:
-        swing_centre(memory.track[k, i].old, heading.angle, angle)
+    if memory.filter[k, i].P_dd > 0.0 and angle != heading.angle:
+        swing_centre(memory.filter[k, i], heading.angle, angle)
+        if memory.time[k] <= memory.track[k, i].doubted:
+            swing_centre(memory.track[k, i].old, heading.angle, angle)
     heading.angle = angle
 
 
