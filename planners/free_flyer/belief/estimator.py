@@ -78,6 +78,14 @@ def correct_position(z: np.record, x: float, y: float, variance: float) -> None:
         x, y: measured position [m].
         variance: of the measurement per axis, above zero [m^2].
     """
+    if z.P_aa == 0.0 and z.P_dd == 0.0:
+        # A robot: the same numbers without complex ones.
+        p, c = z.P_pp, z.P_pv.real
+        total, left = p + variance, variance / (p + variance)
+        move_state(z, (x - z.position[0]) / total, (y - z.position[1]) / total, p, c)
+        z.P_vv = max(z.P_vv - c * c / total, 0.0)
+        z.P_pp, z.P_pv = p * left, complex(c * left, 0.0)
+        return
     pp, pv, pa, pd = z.P_pp, z.P_pv, z.P_pa, z.P_pd
     vp, ap, total = pv.conjugate(), pa.conjugate(), pp + variance
     innovation = complex((x - z.position[0]) / total, (y - z.position[1]) / total)
@@ -95,6 +103,15 @@ def correct_position(z: np.record, x: float, y: float, variance: float) -> None:
         z.P_vd -= divide(vp * pd, total)
         z.P_ad -= divide(ap * pd, total)
         z.P_pd = pd * left
+
+
+@inlined
+def move_state(z: np.record, dx: float, dy: float, to_position: float, to_velocity: float) -> None:
+    """Add multiples of a plane vector to position and velocity of a filter."""
+    z.position[0] += to_position * dx
+    z.position[1] += to_position * dy
+    z.velocity[0] += to_velocity * dx
+    z.velocity[1] += to_velocity * dy
 
 
 @inlined
@@ -119,6 +136,13 @@ def correct_velocity(z: np.record, vx: float, vy: float, variance: float) -> Non
         vx, vy: measured velocity [m/s].
         variance: of the measurement per axis, above zero [m^2/s^2].
     """
+    if z.P_aa == 0.0 and z.P_dd == 0.0:
+        c, v = z.P_pv.real, z.P_vv
+        total, left = v + variance, variance / (v + variance)
+        move_state(z, (vx - z.velocity[0]) / total, (vy - z.velocity[1]) / total, c, v)
+        z.P_pp = max(z.P_pp - c * c / total, 0.0)
+        z.P_pv, z.P_vv = complex(c * left, 0.0), v * left
+        return
     pv, vv, va, vd = z.P_pv, z.P_vv, z.P_va, z.P_vd
     av, total = va.conjugate(), vv + variance
     innovation = complex((vx - z.velocity[0]) / total, (vy - z.velocity[1]) / total)
@@ -400,4 +424,6 @@ def compute_variance(memory: WorldMemory, k: int, i: int, time: float) -> float:
 def compute_turn_ahead(memory: WorldMemory, k: int, i: int, h: float) -> complex:
     """Return R(theta') - R(theta) of body i, theta' its heading after a time, as a complex number."""
     heading = memory.heading[k, i]
+    if heading.rate == 0.0:
+        return complex(0.0, 0.0)
     return compute_direction(heading.angle + h * heading.rate) - compute_direction(heading.angle)
