@@ -29,6 +29,7 @@ from planners.free_flyer.belief.offset import (
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.readings import (
+    EXPECTED,
     MISSING,
     REJECTED,
     SURPRISING,
@@ -36,6 +37,7 @@ from planners.free_flyer.belief.readings import (
     judge_reading,
     open_tracks,
 )
+from planners.free_flyer.belief.thruster import learn_thrust
 from planners.free_flyer.belief.world_memory import BLANK_FILTER, NOBODY, UNKNOWN, WorldMemory
 from planners.measurement import LARGEST
 
@@ -76,6 +78,14 @@ def correct_position(z: np.record, x: float, y: float, variance: float) -> None:
         x, y: measured position [m].
         variance: of the measurement per axis, above zero [m^2].
     """
+    if z.P_aa == 0.0 and z.P_dd == 0.0:
+        # A robot: the same numbers without complex ones.
+        p, c = z.P_pp, z.P_pv.real
+        total, left = p + variance, variance / (p + variance)
+        move_state(z, (x - z.position[0]) / total, (y - z.position[1]) / total, p, c)
+        z.P_vv = max(z.P_vv - c * c / total, 0.0)
+        z.P_pp, z.P_pv = p * left, complex(c * left, 0.0)
+        return
     pp, pv, pa, pd = z.P_pp, z.P_pv, z.P_pa, z.P_pd
     vp, ap, total = pv.conjugate(), pa.conjugate(), pp + variance
     innovation = complex((x - z.position[0]) / total, (y - z.position[1]) / total)
@@ -93,6 +103,15 @@ def correct_position(z: np.record, x: float, y: float, variance: float) -> None:
         z.P_vd -= divide(vp * pd, total)
         z.P_ad -= divide(ap * pd, total)
         z.P_pd = pd * left
+
+
+@inlined
+def move_state(z: np.record, dx: float, dy: float, to_position: float, to_velocity: float) -> None:
+    """Add multiples of a plane vector to position and velocity of a filter."""
+    z.position[0] += to_position * dx
+    z.position[1] += to_position * dy
+    z.velocity[0] += to_velocity * dx
+    z.velocity[1] += to_velocity * dy
 
 
 @inlined
@@ -117,6 +136,13 @@ def correct_velocity(z: np.record, vx: float, vy: float, variance: float) -> Non
         vx, vy: measured velocity [m/s].
         variance: of the measurement per axis, above zero [m^2/s^2].
     """
+    if z.P_aa == 0.0 and z.P_dd == 0.0:
+        c, v = z.P_pv.real, z.P_vv
+        total, left = v + variance, variance / (v + variance)
+        move_state(z, (vx - z.velocity[0]) / total, (vy - z.velocity[1]) / total, c, v)
+        z.P_pp = max(z.P_pp - c * c / total, 0.0)
+        z.P_pv, z.P_vv = complex(c * left, 0.0), v * left
+        return
     pv, vv, va, vd = z.P_pv, z.P_vv, z.P_va, z.P_vd
     av, total = va.conjugate(), vv + variance
     innovation = complex((vx - z.velocity[0]) / total, (vy - z.velocity[1]) / total)
@@ -215,6 +241,7 @@ def update_estimates(
         if 0.5 < joint[k, find_contact_place(n, i)] < 1.5:
             calm = False
             other = find_nearest(plan, memory, options, k, i)
+            memory.thrust[k, i].ready = now + options.thruster.settle
             memory.touch[k, i] = other
             memory.track[k, i].doubted = memory.track[k, i if other == UNKNOWN else other].doubted = -math.inf
             if other == UNKNOWN:
@@ -237,6 +264,8 @@ def update_estimates(
         memory.track[k, i].use = use
         if use == SURPRISING:
             add_jump(z, 0.0, 0.0, 0.0, 0.0, miss, miss / plan.period)
+            if i < r:
+                memory.thrust[k, i].ready = now + options.thruster.settle
         calm = calm and use != SURPRISING and use != REJECTED
     learn_noise(memory, options, k, joint, r, calm)
     variance = memory.sensor[k].sigma * memory.sensor[k].sigma
@@ -266,6 +295,11 @@ def update_estimates(
             correct_centre_velocity(z, vx, vy, slow * slow * variance, heading.angle, heading.rate)
         elif is_speed:
             correct_velocity(z, vx, vy, slow * slow * variance)
+    for i in range(r if options.thrusters else 0):
+        z, at = memory.filter[k, i], BODY_SIZE * i
+        is_read = memory.track[k, i].use == EXPECTED
+        x, y = (joint[k, at + X], joint[k, at + Y]) if is_read else (z.position[0], z.position[1])
+        learn_thrust(memory.thrust[k, i], options, z, memory.heading[k, i].angle, x, y, memory.sensor[k].sigma, now, h)
     for i in range(r, n):
         weigh_drift(memory.filter[k, i], options)
 
@@ -274,9 +308,10 @@ def update_estimates(
 def turn_body(memory: WorldMemory, k: int, i: int, angle: float) -> None:
     """Turn body i to a heading; its geometric centre goes along."""
     heading = memory.heading[k, i]
-    swing_centre(memory.filter[k, i], heading.angle, angle)
-    if memory.time[k] <= memory.track[k, i].doubted:
-        swing_centre(memory.track[k, i].old, heading.angle, angle)
+    if memory.filter[k, i].P_dd > 0.0 and angle != heading.angle:
+        swing_centre(memory.filter[k, i], heading.angle, angle)
+        if memory.time[k] <= memory.track[k, i].doubted:
+            swing_centre(memory.track[k, i].old, heading.angle, angle)
     heading.angle = angle
 
 
@@ -389,4 +424,6 @@ def compute_variance(memory: WorldMemory, k: int, i: int, time: float) -> float:
 def compute_turn_ahead(memory: WorldMemory, k: int, i: int, h: float) -> complex:
     """Return R(theta') - R(theta) of body i, theta' its heading after a time, as a complex number."""
     heading = memory.heading[k, i]
+    if heading.rate == 0.0:
+        return complex(0.0, 0.0)
     return compute_direction(heading.angle + h * heading.rate) - compute_direction(heading.angle)

@@ -57,7 +57,7 @@ def swing_centre(z: np.record, before: float, after: float) -> None:
         z: a FILTER.
         before, after: heading [rad].
     """
-    if z.P_dd == 0.0:
+    if z.P_dd == 0.0 or before == after:
         return
     s = compute_direction(after) - compute_direction(before)
     move, sd = s * get_offset(z), s * z.P_dd

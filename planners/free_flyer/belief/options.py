@@ -56,6 +56,23 @@ class Estimation:
 
 
 @dataclass(frozen=True)
+class Thruster:
+    """Numbers of the estimate of how strong a robot's thrusters are."""
+
+    spread: Spread = 0.2  # standard deviation of a gain about 1, true over commanded force
+    wander: float = 0.02  # of a gain while it pushes, a random walk [per square root of s]
+    # Time constant of the low pass: long beside delays of the readings, short beside the time between impacts [s].
+    low_pass: Positive = 1.5
+    least: float = 5e-3  # filtered acceleration by thrust that tells anything [m/s^2]
+    unknown: Share = 0.05  # share of it that is not explained by gains, such as by a delay
+    position_floor: Positive = 2e-3  # added to the noise of positions [m]
+    settle: float = 2.0  # after a contact, until the velocity of the robot is known [s]
+    sure: float = 1.5  # standard deviations by which a gain differs from 1 before anything is made of it
+    weakest: Positive = 0.4  # gain that is believed, so that no command grows beyond bounds,
+    strongest: Positive = 1.3  # and the greatest
+
+
+@dataclass(frozen=True)
 class ImpactParameters:
     """Numbers of the estimate of restitution and mass ratio of every pair of robot and object."""
 
@@ -282,6 +299,7 @@ class Options:
         walls: keep off walls and solid obstacles as off bodies, hit objects before they are at one, and go round them.
         plan_anew: plan the rest in the background, with who hits what open, where that fails.
         respond: fly the responses of a plan that has any, while objects are in the boxes it promises.
+        thrusters: learn how strong every thruster of a robot is, and command what gives the wanted force.
         tracker: what follows the courses, a name of `tracking.trackers.TRACKERS`.
         weights: of the tracking cost; in the paper those of App. B.
     """
@@ -298,9 +316,11 @@ class Options:
     walls: bool = True
     plan_anew: bool = True
     respond: bool = True
+    thrusters: bool = True
     tracker: str = "mpc"
     weights: Weights = Weights()  # noqa: RUF009 - frozen
     estimation: Estimation = Estimation()
+    thruster: Thruster = Thruster()
     impact_parameters: ImpactParameters = ImpactParameters()
     timing: Timing = Timing()
     aim: Aim = Aim()
@@ -329,6 +349,7 @@ _PAPER = Options(
     walls=False,
     plan_anew=False,
     respond=False,
+    thrusters=False,
     weights=PUBLISHED_WEIGHTS,
 )
 # What the paper has is replaced, or what it lacks is added, one part a rung: each has all parts of the rung before.
@@ -345,6 +366,7 @@ _LADDER: tuple[tuple[str, dict[str, Any]], ...] = (
     ("with_offset", {"offset": True}),
     ("with_walls", {"walls": True}),
     ("with_responses", {"respond": True}),
+    ("with_thrusters", {"thrusters": True}),
 )
 
 

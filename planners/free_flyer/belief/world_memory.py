@@ -47,6 +47,25 @@ HEADING = np.dtype(
         ("rate", float),  # [rad/s]
     ]
 )
+# What is believed of the thrusters of one robot, see `thruster`: +x, -x, +y, -y of the body.
+THRUST = np.dtype(
+    [
+        ("gain", float, 4),  # true over commanded force, as commands take it
+        ("mean", float, 4),  # and as it is estimated
+        ("variance", float, 4),  # of the estimate
+        (
+            "command",
+            float,
+            2,
+        ),  # acceleration that was commanded since the last measurement, in the body's frame [m/s^2]
+        ("last", float, 2),  # and before that
+        ("push_once", float, 4),  # commands that went through the low pass once [m/s^2],
+        ("push_twice", float, 4),  # and twice
+        ("once", float, 2),  # the same of the position [m]
+        ("twice", float, 2),
+        ("ready", float),  # when the low passes begin [s]
+    ]
+)
 # The last reading of one body, see `readings`.
 TRACK = np.dtype(
     [
@@ -196,7 +215,9 @@ class WorldMemory(NamedTuple):
         recent: the last three measured positions of the objects, oldest first, shape (N, m, 3, 2) [m].
         track: TRACK of every body, shape (N, n).
         sensor: SENSOR, shape (N,).
-        push: commanded acceleration of the robots since the last measurement, shape (N, r, 2) [m/s^2].
+        push: acceleration of the robots that is expected of the commands since the last measurement, shape (N, r, 2)
+            [m/s^2].
+        thrust: THRUST of every robot, shape (N, r).
         spin: commanded angular acceleration of the robots since then, shape (N, r) [rad/s^2].
         touch: body that each robot touched, UNKNOWN or NOBODY, shape (N, r).
         course: COURSE of every robot, shape (N, r).
@@ -228,6 +249,7 @@ class WorldMemory(NamedTuple):
     track: np.ndarray
     sensor: np.ndarray
     push: np.ndarray
+    thrust: np.ndarray
     spin: np.ndarray
     touch: np.ndarray
     course: np.ndarray
@@ -267,6 +289,7 @@ def make_world_memory(plan: PlanTable, count: int) -> WorldMemory:
         track=np.zeros((count, n), TRACK),
         sensor=np.zeros(count, SENSOR),
         push=np.zeros((count, r, 2)),
+        thrust=np.zeros((count, r), THRUST),
         spin=np.zeros((count, r)),
         touch=np.zeros((count, r), np.int64),
         course=np.zeros((count, r), COURSE),

@@ -9,6 +9,7 @@ import numpy as np
 from impact_envs.compiled import compiled, inlined
 from planners.free_flyer.belief.options import BY_LQR, BY_MPC, Options
 from planners.free_flyer.belief.plan_table import PlanTable
+from planners.free_flyer.belief.thruster import find_thruster
 from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
 from planners.free_flyer.closed_loop.avoidance import NO_TARGET, avoid_bodies, hold_barrier
 from planners.free_flyer.next_impact.replanner import find_law
@@ -98,13 +99,18 @@ def apply_solution(
         actions[k, r, 0], actions[k, r, 1] = (cos * bx + sin * by) / g, (cos * by - sin * bx) / g
     for i in range(3):
         share = actions[k, r, i] / pilot[INPUT_LIMIT + i]
+        if i < 2:
+            share /= memory.thrust[k, r].gain[find_thruster(i, share)]
         if math.isnan(share):
             share = 0.0
             memory.counts[k].no_action += 1
         actions[k, r, i] = min(max(share, -1.0), 1.0)
     middle = heading + rate * h / 2
     cos, sin = math.cos(middle), math.sin(middle)
+    thrust = memory.thrust[k, r]
     fx, fy = actions[k, r, 0] * pilot[INPUT_LIMIT], actions[k, r, 1] * pilot[INPUT_LIMIT + 1]
+    thrust.command[0], thrust.command[1] = fx * pilot[GAIN], fy * pilot[GAIN]
+    fx, fy = fx * thrust.gain[find_thruster(0, fx)], fy * thrust.gain[find_thruster(1, fy)]
     memory.push[k, r, 0] = (cos * fx - sin * fy) * pilot[GAIN]
     memory.push[k, r, 1] = (sin * fx + cos * fy) * pilot[GAIN]
     memory.spin[k, r] = actions[k, r, 2] * pilot[INPUT_LIMIT + 2] * pilot[GAIN + 2]

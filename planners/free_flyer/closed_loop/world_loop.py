@@ -11,6 +11,7 @@ from planners.free_flyer.belief.estimator import open_filters, update_estimates
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.readings import is_start, read_clock
+from planners.free_flyer.belief.thruster import open_thrusters
 from planners.free_flyer.belief.world_memory import (
     BLANK_COUNTS,
     BLANK_COURSE,
@@ -52,6 +53,7 @@ def start_world(plan: PlanTable, memory: WorldMemory, options: Options, k: int) 
     """Forget the last episode of world k."""
     memory.time[k] = 0.0
     open_filters(plan, memory, options, k)
+    open_thrusters(memory, options, k)
     forget_hits(plan, memory, options, k)
     forget_responses(plan, memory, k)
     start_strikes(plan, memory, options, k, 0.0)

@@ -440,11 +440,11 @@ def test_each_variant_has_one_part_more_than_the_last() -> None:
     assert replace(VARIANTS["paper_expert"], weights=EXPERT.weights) == VARIANTS["with_weights"]
     assert VARIANTS["paper_expert"].weights == VARIANTS["one_replan"].weights == PUBLISHED_WEIGHTS
     order = ["exact", "avoid", "learn", "retime", "drift", "insert", "reoptimise"]
-    order += ["offset", "walls", "respond", "plan_anew"]
+    order += ["offset", "walls", "respond", "thrusters", "plan_anew"]
     for part, fewer, more in zip(order, [weights, *rest], rest, strict=False):
         assert more - fewer == {part}
         assert fewer < more
-    assert replace(VARIANTS["with_responses"], plan_anew=True) == EXPERT
+    assert replace(VARIANTS["with_thrusters"], plan_anew=True) == EXPERT
 
 
 def test_unknown_variant_is_refused_with_the_choices(scenario: FreeFlyerScenario, plan: Plan) -> None:
