@@ -97,10 +97,8 @@ def run_until_due(
             if at.todo[k] == ADVANCE and left == 0:
                 return
             part = LOOK if at.todo[k] == OBSERVE else CONTROL
-            run_experts(
-                law, expert_rules, heights, weights, control, expert, expert_scratch, at.joint, at.actions, part, thread,
-                k, k + 1,
-            )  # fmt: skip
+            arrays = law, expert_rules, heights, weights, control, expert, expert_scratch, at.joint, at.actions
+            run_experts(*arrays, part, thread, k, k + 1)
             if part == LOOK:
                 at.todo[k] = REST if tasks[k].steps >= last or expert[k].awaiting else ADVANCE
                 continue
