@@ -51,13 +51,9 @@ HEADING = np.dtype(
 THRUST = np.dtype(
     [
         ("gain", float, 4),  # true over commanded force, as commands take it
-        ("mean", float, 4),  # and as it is estimated
+        ("estimate", float, 4),  # and as it is estimated
         ("variance", float, 4),  # of the estimate
-        (
-            "command",
-            float,
-            2,
-        ),  # acceleration that was commanded since the last measurement, in the body's frame [m/s^2]
+        ("command", float, 2),  # commanded since the last measurement, in the body's frame [m/s^2]
         ("last", float, 2),  # and before that
         ("push_once", float, 4),  # commands that went through the low pass once [m/s^2],
         ("push_twice", float, 4),  # and twice
