@@ -26,7 +26,7 @@ from impact_envs.scenario import load_scenario
 from planners import make_expert, make_expert_batch
 
 BATCH, ONE, DOORS = "batch", "vector_env of one world", "parallel_env, rollout"
-# Least that is asked, in seconds of the world per second of CPU: issue 16.
+# Least that is asked, in seconds of the world per second of CPU.
 REALTIME = {BATCH: 300.0, DOORS: 100.0}
 SEED = 1_000_000  # of the tuning range
 

@@ -54,21 +54,22 @@ _TITLES = {"pingpong": "PingPong"}
 # Raised when episodes change, by the id without its version; 0 where not listed. Frozen in tests/frozen.
 _VERSIONS = {
     "Corridor": 1,
-    "CorridorResidual": 1,
+    "CorridorResidual": 2,
     "Crew": 2,
-    "CrewResidual": 1,
+    "CrewResidual": 2,
+    "DualArmGraspResidual": 1,
     "Exchange": 1,
-    "ExchangeResidual": 1,
+    "ExchangeResidual": 2,
     "ObstacleAvoidance": 1,
-    "ObstacleAvoidanceResidual": 1,
+    "ObstacleAvoidanceResidual": 2,
     "PingPong": 1,
-    "PingPongResidual": 1,
+    "PingPongResidual": 2,
     "Pong": 1,
-    "PongResidual": 1,
+    "PongResidual": 2,
     "Relay": 1,
-    "RelayResidual": 1,
+    "RelayResidual": 2,
     "ThrowAndCatch": 1,
-    "ThrowAndCatchResidual": 1,
+    "ThrowAndCatchResidual": 2,
 }
 
 
