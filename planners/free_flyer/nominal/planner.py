@@ -77,6 +77,8 @@ def make_free_flyer_plan(
     check_solver(solver)
     read_demands(scenario, reserves.wall)  # formulas are refused in the user's words
     frame = find_frame(scenario)
+    # Wall time depends on the machine; the work done until it is over is told along with it.
+    work = work or Work()
     plan = _plan_in_frame(frame.enter(scenario), max_impacts, time_limit, solver, reserves, options, work, frame)
     if not frame.is_users:
         plan = frame.leave(plan)
@@ -146,11 +148,13 @@ def _plan_task(
             best = plan
         if not options.thorough or climber.rho is None or plan.robustness >= options.satisfying * climber.rho:
             break
-        trials.append(Trial(halvings, pieces, climber.failure or SolverFailed("", "", ""), climber.rho))
+        trials.append(Trial(halvings, pieces, climber.failure, climber.rho))
     if best is not None:
         return best
     if not options.thorough:
-        raise trials[0].error
+        failure = trials[0].error
+        assert failure is not None
+        raise failure
     hardest = _halve_reserves(task, max(trial.halvings for trial in trials))
     complete = budget.left > 0.0
     verdict = judge_trials(trials, hardest, max_impacts, budget, complete)

@@ -83,6 +83,10 @@ def maximise_robustness(
         # Once there is a plan, the search for a more robust one with more impacts must leave time to finish it.
         share = 0.5
         limit = budget.left if best is None else share * budget.limit - budget.elapsed
+        if limit <= 0.0:
+            if best is None:
+                raise SolverFailed(problem, "time limit reached", "raise the time limit")
+            break
         least = options.least if best is None else best.rho
         try:
             found = _solve_size(task, size, (least, ceiling), limit, options)
@@ -116,6 +120,8 @@ def _attain_bound(
     With the robustness given, a model of many pieces is decided several times as quickly.
     """
     for size in sizes:
+        if budget.left <= 0.0:
+            break
         try:
             limit = 0.3 * budget.left
             found = _solve_size(task, size, (max(ceiling - TOLERANCE, options.least), ceiling), limit, options)
@@ -174,11 +180,31 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
         if found.words:
             return RobustnessOptimum(size, rho, ceiling, found.words, found.bound)
     if options.thorough:
+        shallow = (
+            _find_shallow(task, (rho, ceiling), pieces, seed, budget, options) if len(seed) <= max_impacts else None
+        )
+        if shallow is not None:
+            return shallow
         longer = _find_longer(task, max_impacts, (rho, ceiling), max(pieces, MANY), seed, budget, options)
         if longer is not None:
             return longer
     fewest = len(seed) if options.expected is None else min(len(seed), options.expected)
     return maximise_robustness(task, max_impacts, budget, options, fewest)
+
+
+def _find_shallow(
+    task: NominalTask, rho: tuple[float, float], pieces: int, seed: Word, budget: Budget, options: PlanOptions
+) -> RobustnessOptimum | None:
+    """Return words of as many impacts as the objects need one by one, with less robustness; None: none was found."""
+    quick = replace(options.cost, wishes=options.cost.wishes[-1:])
+    hasty = replace(options, cost=quick, search=replace(options.search, improve=False))
+    size = GridSize(len(seed), pieces)
+    for share in options.search.shallow_shares:
+        kept = max(options.least, share * options.joint * rho[0])
+        found = search_words(task, size, kept, seed, lambda: budget.left / 6, hasty)
+        if found.words:
+            return RobustnessOptimum(size, kept, rho[1], found.words)
+    return None
 
 
 def _find_longer(
@@ -192,7 +218,10 @@ def _find_longer(
 ) -> RobustnessOptimum | None:
     """Return the optimum of words with more impacts than the objects need one by one; None: none was found."""
     end = budget.elapsed + 0.7 * budget.left
-    for extra, share in itertools.product(range(1, max_impacts - len(seed) + 1), options.search.longer_shares):
+    most = min(max_impacts - len(seed), options.search.most_longer)
+    for extra, share in itertools.product(range(1, most + 1), options.search.longer_shares):
+        if budget.elapsed >= end:
+            break
         size, kept = GridSize(len(seed) + extra, pieces), share * options.joint * rho[0]
         found = lengthen_words(task, size, kept, seed, lambda: end - budget.elapsed, options)
         if found.words:

@@ -119,7 +119,10 @@ class WordSearchOptions:
         evaluations: greatest number of sequences tried.
         improve: whether to look on after the first sequence that has a plan, and to bound the cost.
         longest: time for one sequence of more impacts than the objects need one by one [s].
+        most_longer: greatest number of impacts more than that.
         few_longer: number of such sequences with plans after which no other one is tried.
+        shallow_shares: shares of the robustness that the objects attain one by one, tried in turn where they do not
+            attain it together.
         longer_shares: shares of the robustness that the objects attain one by one, tried in turn for such sequences.
     """
 
@@ -131,7 +134,9 @@ class WordSearchOptions:
     evaluations: int = 60
     improve: bool = True
     longest: float = 6.0
+    most_longer: int = 2
     few_longer: int = 2
+    shallow_shares: tuple[float, ...] = (0.6, 0.25)
     longer_shares: tuple[float, ...] = (1.0, 0.6)
 
 

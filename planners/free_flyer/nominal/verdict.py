@@ -19,13 +19,13 @@ class Trial:
     Args:
         halvings: how often the reserves were halved.
         pieces: numbers of pieces per leg.
-        error: why there is no plan.
+        error: why there is no plan, or only one of less robustness; None: only the event grid knows.
         rho: robustness of sequences of impacts that exist, but have no smooth motions; None: none were found [m].
     """
 
     halvings: int
     pieces: tuple[int, ...]
-    error: PlanningError
+    error: PlanningError | None
     rho: float | None = None
 
     @property
@@ -55,7 +55,8 @@ def judge_trials(
         remedy = "allow more impacts or time, move the areas, or relax the formula"
         return Infeasible(problem, f"{status} and {describe_reserves(task, trials[-1].halvings)}", remedy)
     late = budget.left <= 0.0
-    limit = f"the time limit of {budget.limit:g} s" if late else "these numbers of impacts, pieces and reserves"
+    done = "" if task.work is None else f" ({task.work.done:.0f} units of work done)"
+    limit = f"the time limit of {budget.limit:g} s{done}" if late else "these numbers of impacts, pieces and reserves"
     tried = f"with up to {max_impacts} impacts, {most} straight pieces a leg and {_name_reserves(trials)}"
     status = f"no plan found, and none excluded, within {limit}: tried {tried}; {_describe_failures(trials, task)}"
     remedy = "raise the time limit" if late else "allow more impacts or a longer horizon"
