@@ -187,9 +187,12 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         self._ended = bool(over.any())
         rewards = self._sum_robots(output.rewards)
         infos = self._infos(over if self._ended else None)
-        self._over = _copy(over)
-        terminations = self.batch.failed if self._ended else self._falses()
-        truncations = over & ~terminations
+        self._over = over
+        if self._ended:
+            terminations = self.batch.failed
+            truncations = over & ~terminations
+        else:
+            terminations, truncations = self._falses(), self._falses()
         if self._ended and self.autoreset_mode == AutoresetMode.SAME_STEP:
             infos = self._start_over(over, output, infos)
         give = self._give
@@ -323,7 +326,8 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         return torch.from_numpy(array)
 
     def _falses(self) -> Any:
-        return self._take(np.zeros(self.num_envs, bool))
+        falses = np.zeros(self.num_envs, bool)
+        return self._take(falses) if self.on_gpu else falses
 
     def _sum_robots(self, rewards: Any) -> Any:
         """Return the sum over robots in float64, added in their order as JointEnv does, shape (num_envs,)."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from impact_envs.capacity import check_size
-from impact_envs.compiled import announce
+from impact_envs.compiled import announce, bind
 from impact_envs.domain import load_attribute
 from impact_envs.errors import InputError
 from impact_envs.failure import NotFinite, TooManyEvents, check_finite
@@ -246,7 +246,8 @@ class Batch(BatchViews):
             self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None, "arrays": ()}
+        state = {name: value for name, value in self.__dict__.items() if name != "_call"}
+        return {**state, "_pool": None, "arrays": ()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -257,6 +258,8 @@ class Batch(BatchViews):
         """Collect the arrays that every step takes."""
         owned, shared = (self._arena, self._worlds, self._scratch), (self._formula, self._sensing, self._rules)
         self.arrays = (*map(tuple, owned), self._log, *map(tuple, (*shared, self._memory)))
+        nothing = tuple(self.make_output(False)), np.zeros((0, self.robots, 3)), np.zeros(0, np.int64)
+        self._call = bind(run_tuples, *self.arrays, *nothing, 0, 0, 0)  # of no world
 
     def make_output(self, agents: bool) -> Output:
         """Return fresh arrays for a step to fill.
@@ -272,7 +275,7 @@ class Batch(BatchViews):
         )
 
     def _run(self, actions: np.ndarray, todo: np.ndarray, output: Output) -> None:
-        filled, call = tuple(output), cast(Any, run_tuples)
+        filled, call = tuple(output), self._call
 
         def run(thread: int) -> None:
             first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
