@@ -245,6 +245,11 @@ def make_rows(entries: Sequence[dict[str, Any]], keys: tuple[str, ...], cells: S
     return list(rows.values())
 
 
+def count_robots(setting: str) -> int:
+    """Return the robots of a setting such as 2+1."""
+    return int(setting.partition("+")[0])
+
+
 def format_number(value: float) -> str:
     """Return three digits with M or k."""
     scale, unit = (1e6, " M") if value >= 1e6 else (1e3, " k") if value >= 1e3 else (1.0, "")
@@ -264,6 +269,8 @@ def print_results(found: Findings, rates: Sequence[dict[str, Any]], ratios: Sequ
     for setting in dict.fromkeys(row["setting"] for row in table):
         table += [dict.fromkeys(table[0], "-") | {"setting": setting, "method": name} for name in found.missing]
     print_table("env-steps/s of CPU time, of wall time on all cores or a GPU; median ± half the spread", table)
+    agent_steps = [format_number(row["rate"] * count_robots(row["setting"])) for row in rates]
+    print_table("the same in agent-steps/s: a step of one robot", make_rows(rates, ("setting", "method"), agent_steps))
     cells = [format(row["ratio"], ".3g" if row["ratio"] < 100 else ".0f") for row in ratios]
     print_table("ours / peer, CPU time", make_rows(ratios, ("setting", "ours", "peer"), cells))
     print_table("impacts in these episodes, memory of a world", found.episodes)

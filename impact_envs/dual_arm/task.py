@@ -13,13 +13,17 @@ from impact_envs.dual_arm.arm import compute_pose
 from impact_envs.dual_arm.observation import ARM, TRUTH, make_joint_layout, make_layout
 from impact_envs.dual_arm.schema import DualArmScenario, Physics
 from impact_envs.dual_arm.secrets import list_secrets, make_secrets_layout
-from impact_envs.dual_arm.world import FORCES, JOINTS, KEPT, RATES
+from impact_envs.dual_arm.world import FORCES, JOINTS, KEPT
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.reward import compute_effort
 from impact_envs.shape import Shape
 
 MOTION = slice(0, 6)
+SIGNALS = np.r_[MOTION, KEPT]
+# Angles, rates and forces stand side by side in an observation and in a state.
+JOINTED, MOVED = slice(ARM["angles"].start, ARM["forces"].stop), slice(JOINTS.start, FORCES.stop)
+PAD = ARM["pad"]
 # Effort is counted per tenth of a second, however short the control period: the weight of effort then means the same.
 EFFORT_PERIOD = 0.1  # [s]
 PAD_DEPTH, TABLE_DEPTH = 0.03, 0.05  # as drawn [m]
@@ -94,8 +98,8 @@ class DualArmTask:
         """
         for row, state in zip(self._measured, states[:2], strict=True):
             x, y, vx, vy, heading, omega = state[MOTION].tolist()
-            row[ARM["angles"]], row[ARM["rates"]], row[ARM["forces"]] = state[JOINTS], state[RATES], state[FORCES]
-            row[ARM["pad"]] = x, y, math.cos(heading), math.sin(heading), vx, vy, omega
+            row[JOINTED] = state[MOVED]
+            row[PAD] = x, y, math.cos(heading), math.sin(heading), vx, vy, omega
 
     def observe(self, time: float, bounds: tuple[float, float]) -> dict[str, np.ndarray]:
         """Return each arm's observation.
@@ -115,8 +119,7 @@ class DualArmTask:
 
     def signals(self, states: np.ndarray) -> dict[str, float]:
         """Return the named signals a formula speaks of, for example ``box.slip``."""
-        values = np.hstack([states[:, MOTION], states[:, KEPT]])
-        return dict(zip(self._signals, values.ravel().tolist(), strict=True))
+        return dict(zip(self._signals, states[:, SIGNALS].ravel().tolist(), strict=True))
 
     def signal_bounds(self) -> dict[str, tuple[float, float]]:
         """Return the bounds known beforehand: limits of torques and times; no signal of a grasp is negative."""
