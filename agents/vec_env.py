@@ -30,7 +30,7 @@ class ImpactVecEnv(CompiledVecEnv):
     ``success``, and ``is_success``, of which SB3 logs the rate.
 
     Args:
-        scenario: a shipped name, the path of a TOML file, or a Scenario; of discs.
+        scenario: a shipped name, the path of a TOML file, or a Scenario; free-flyers are discs.
         num_worlds: how many worlds.
         per_robot: one environment per robot rather than per world.
         max_cycles: truncate earlier than the horizon [control periods].

@@ -43,7 +43,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
     marked by ``_final_obs``, and ``final_info``, the infos of the end of all worlds.
 
     Args:
-        scenario: a shipped name, the path of a TOML file, or a Scenario; of discs or a floating manipulator.
+        scenario: a shipped name, the path of a TOML file, or a Scenario.
         num_envs: how many worlds.
         autoreset_mode: as Gymnasium defines them: ``NEXT_STEP``, ``SAME_STEP`` or ``DISABLED``.
         max_cycles: truncate earlier than the horizon [control periods].
@@ -341,7 +341,7 @@ def vector_env(scenario: str | Path | Scenario, num_envs: int = 1, **options: An
     """Make many worlds of a scenario, stepped together.
 
     Args:
-        scenario: a shipped name, the path of a TOML file, or a Scenario; of discs or a floating manipulator.
+        scenario: a shipped name, the path of a TOML file, or a Scenario.
         num_envs: how many.
         options: see ImpactVectorEnv.
 

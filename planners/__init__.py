@@ -113,7 +113,7 @@ def make_expert_batch(
     """Make the experts of the worlds of a vector environment: ``actions = experts.act(observations)``.
 
     Args:
-        scenario: a shipped name, the path of a TOML file, or a Scenario; of discs or a floating manipulator.
+        scenario: a shipped name, the path of a TOML file, or a Scenario.
         count: how many worlds.
         plan: to execute; by default planned now, where the domain has a planner.
         variant: what the expert is compared with, see list_variants.

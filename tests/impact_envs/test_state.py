@@ -46,7 +46,9 @@ def test_secrets_are_the_draws_of_the_seed(name: str) -> None:
 
 
 @pytest.mark.parametrize("suite", SUITES)
-@pytest.mark.parametrize("name", ["throw_and_catch", "corridor", "exchange", "floating_manipulator_thrusters", "dual_arm_grasp"])
+@pytest.mark.parametrize(
+    "name", ["throw_and_catch", "corridor", "exchange", "floating_manipulator_thrusters", "dual_arm_grasp"]
+)
 def test_world_k_of_many_knows_what_the_single_environment_does(name: str, suite: str) -> None:
     scenario, count = load_scenario(name).suite(suite), 3
     worlds, singles = vector_env(scenario, count, threads=1), [parallel_env(scenario) for _ in range(count)]
