@@ -41,7 +41,7 @@ def open_thrusters(memory: WorldMemory, options: Options, k: int) -> None:
         thrust = memory.thrust[k, r]
         thrust.command[0] = thrust.command[1] = 0.0
         for i in range(4):
-            thrust.gain[i] = thrust.mean[i] = 1.0
+            thrust.gain[i] = thrust.estimate[i] = 1.0
             thrust.variance[i] = options.thruster.spread * options.thruster.spread
         start_passes(thrust, options, memory.filter[k, r], 0.0)
 
@@ -134,15 +134,13 @@ def correct_gains(thrust: np.record, options: Options, axis: int, seen: float, n
     unknown = options.thruster.unknown * size
     P, Q = thrust.variance[i], thrust.variance[j]
     total = f * f * P + g * g * Q + (noise + unknown * unknown) * 2.0 * options.thruster.low_pass / h
-    miss = (seen - f * thrust.mean[i] - g * thrust.mean[j]) / total
-    wander, most = (
-        options.thruster.wander * options.thruster.wander * h,
-        options.thruster.spread * options.thruster.spread,
-    )
+    miss = (seen - f * thrust.estimate[i] - g * thrust.estimate[j]) / total
+    wander = options.thruster.wander * options.thruster.wander * h
+    most = options.thruster.spread * options.thruster.spread
     for n, push, variance in ((i, f, P), (j, g, Q)):
-        mean = thrust.mean[n] + variance * push * miss
-        thrust.mean[n] = min(max(mean, options.thruster.weakest), options.thruster.strongest)
+        mean = thrust.estimate[n] + variance * push * miss
+        thrust.estimate[n] = min(max(mean, options.thruster.weakest), options.thruster.strongest)
         thrust.variance[n] = min(variance - variance * push / total * push * variance + wander, most)
-        away = thrust.mean[n] - 1.0
+        away = thrust.estimate[n] - 1.0
         doubt = options.thruster.sure * options.thruster.sure * thrust.variance[n]
         thrust.gain[n] = 1.0 + away * (1.0 - doubt / (away * away)) if away * away > doubt else 1.0

@@ -51,7 +51,7 @@ HEADING = np.dtype(
 THRUST = np.dtype(
     [
         ("gain", float, 4),  # true over commanded force, as commands take it
-        ("mean", float, 4),  # and as it is estimated
+        ("estimate", float, 4),  # and as it is estimated
         ("variance", float, 4),  # of the estimate
         (
             "command",

@@ -24,7 +24,7 @@ class Robot:
         self.rng = np.random.default_rng(3)
         self.places, self.velocity, self.now = [np.zeros(2)] * (delay + 1), np.zeros(2), 0.0
         self.thrust, self.z = np.zeros(1, THRUST)[0], np.zeros(1, FILTER)[0]
-        self.thrust["gain"] = self.thrust["mean"] = 1.0
+        self.thrust["gain"] = self.thrust["estimate"] = 1.0
         self.thrust["variance"] = PRIOR.spread**2
         start_passes(self.thrust, OPTIONS, self.z, 0.0)
 
@@ -56,20 +56,20 @@ def test_filtered_accelerations_are_exact_in_samples() -> None:
 @pytest.mark.parametrize("heading", [0.0, 2.5])
 def test_weak_thruster_is_found(heading: float) -> None:
     believed = Robot((0.5, 1.0, 1.0, 1.0), heading=heading).fly(*[(STRONG, 0.0)] * 60)
-    assert believed["mean"][0] == pytest.approx(0.5, abs=0.06)
+    assert believed["estimate"][0] == pytest.approx(0.5, abs=0.06)
     assert believed["gain"][0] == pytest.approx(0.5, abs=0.1)
-    assert believed["mean"][1:] == pytest.approx(1.0)
+    assert believed["estimate"][1:] == pytest.approx(1.0)
 
 
 def test_both_directions_of_an_axis_are_told_apart() -> None:
     pushes = [(STRONG, 0.0)] * 40 + [(-STRONG, 0.0)] * 40
     believed = Robot((1.0, 0.5, 1.0, 1.0)).fly(*pushes, *pushes)
-    assert believed["mean"][:2] == pytest.approx([1.0, 0.5], abs=0.08)
+    assert believed["estimate"][:2] == pytest.approx([1.0, 0.5], abs=0.08)
 
 
 def test_delay_is_no_weakness() -> None:
     believed = Robot((1.0, 1.0, 1.0, 1.0), delay=3).fly(*[(STRONG, 0.0)] * 60)
-    assert believed["mean"][0] == pytest.approx(1.0, abs=0.1)
+    assert believed["estimate"][0] == pytest.approx(1.0, abs=0.1)
 
 
 def test_noise_changes_no_command() -> None:
@@ -80,7 +80,7 @@ def test_noise_changes_no_command() -> None:
 
 def test_small_pushes_tell_nothing() -> None:
     believed = Robot((0.5, 0.5, 0.5, 0.5)).fly(*[(PRIOR.least / 2, 0.0)] * 100)
-    assert believed["mean"].tolist() == [1.0] * 4
+    assert believed["estimate"].tolist() == [1.0] * 4
 
 
 def test_contact_is_taken_for_no_thrust() -> None:
@@ -88,13 +88,13 @@ def test_contact_is_taken_for_no_thrust() -> None:
     robot.fly(*[(STRONG, 0.0)] * 40)
     robot.velocity = -robot.velocity
     robot.thrust["ready"] = robot.now + PRIOR.settle
-    before = robot.thrust["mean"].copy()
-    assert robot.fly(*[(STRONG, 0.0)] * 19)["mean"].tolist() == before.tolist()
-    assert robot.fly(*[(STRONG, 0.0)] * 60)["mean"] == pytest.approx(1.0, abs=0.05)
+    before = robot.thrust["estimate"].copy()
+    assert robot.fly(*[(STRONG, 0.0)] * 19)["estimate"].tolist() == before.tolist()
+    assert robot.fly(*[(STRONG, 0.0)] * 60)["estimate"] == pytest.approx(1.0, abs=0.05)
 
 
 def test_belief_stays_within_bounds() -> None:
     dead = Robot((0.0, 1.0, 1.0, 1.0)).fly(*[(STRONG, 0.0)] * 200)
-    assert dead["mean"][0] == PRIOR.weakest
+    assert dead["estimate"][0] == PRIOR.weakest
     mighty = Robot((3.0, 1.0, 1.0, 1.0)).fly(*[(STRONG, 0.0)] * 200)
-    assert mighty["mean"][0] == PRIOR.strongest
+    assert mighty["estimate"][0] == PRIOR.strongest
