@@ -135,10 +135,8 @@ def correct_gains(thrust: np.record, options: Options, axis: int, seen: float, n
     P, Q = thrust.variance[i], thrust.variance[j]
     total = f * f * P + g * g * Q + (noise + unknown * unknown) * 2.0 * options.thruster.low_pass / h
     miss = (seen - f * thrust.estimate[i] - g * thrust.estimate[j]) / total
-    wander, most = (
-        options.thruster.wander * options.thruster.wander * h,
-        options.thruster.spread * options.thruster.spread,
-    )
+    wander = options.thruster.wander * options.thruster.wander * h
+    most = options.thruster.spread * options.thruster.spread
     for n, push, variance in ((i, f, P), (j, g, Q)):
         mean = thrust.estimate[n] + variance * push * miss
         thrust.estimate[n] = min(max(mean, options.thruster.weakest), options.thruster.strongest)
