@@ -227,7 +227,8 @@ class _Climber:
         search = maximise_robustness if len(task.scenario.objects) == 1 else maximise_jointly
         with budget.stage("robustness"):
             # An attempt leaves time for the next one.
-            part = Budget(budget.left * options.attempt_share)
+            share = options.attempt_share if len(task.scenario.objects) == 1 else options.joint_share
+            part = Budget(budget.left * share)
             optimum = search(task, self.max_impacts, part, options)
             self.rho = optimum.rho
             quick = quicken_legs(task, optimum, search, part, options)
@@ -423,6 +424,8 @@ def _plan_word(task: NominalTask, optimum: RobustnessOptimum, word: Word, budget
                         events = minimise_path_cost(patient, size, rho, options.cost, limit, word)
                 last = last or events.sequence
                 best = _finish(patient, optimum, rho, events, budget, options)
+                if share == 1.0:
+                    return best  # more time does not make it more robust
                 break
             except PlanningError as error:
                 failure = error

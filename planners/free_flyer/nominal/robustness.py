@@ -180,14 +180,14 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
         if found.words:
             return RobustnessOptimum(size, rho, ceiling, found.words, found.bound)
     if options.thorough:
+        longer = _find_longer(task, max_impacts, (rho, ceiling), max(pieces, MANY), seed, budget, options)
+        if longer is not None:
+            return longer
         shallow = (
             _find_shallow(task, (rho, ceiling), pieces, seed, budget, options) if len(seed) <= max_impacts else None
         )
         if shallow is not None:
             return shallow
-        longer = _find_longer(task, max_impacts, (rho, ceiling), max(pieces, MANY), seed, budget, options)
-        if longer is not None:
-            return longer
     fewest = len(seed) if options.expected is None else min(len(seed), options.expected)
     return maximise_robustness(task, max_impacts, budget, options, fewest)
 

@@ -154,7 +154,8 @@ class PlanOptions:
         robustness_gap: to which the greatest robustness is proven, relative.
         pieces: numbers of pieces per leg in the order in which they are tried; two let robots turn corners.
         most_pieces: greatest number of pieces per leg, where there is no plan with those.
-        attempt_share: share of the time left that one attempt to find impacts may take.
+        attempt_share: share of the time left that one attempt to find impacts may take, with one object.
+        joint_share: the same with several objects.
         patience: factors of the least times of hasty legs, tried in turn when motions prove too quick to be smoothed.
         less: shares of the robustness that are kept then, in turn.
         satisfying: share of the robustness of the impacts from which on a plan with less is good enough, and reserves
@@ -184,6 +185,7 @@ class PlanOptions:
     pieces: tuple[int, ...] = (1, 2)
     most_pieces: int = 6
     attempt_share: float = 0.35
+    joint_share: float = 0.6
     patience: tuple[float, ...] = (1.05, 1.2, 1.5, 2.0)
     less: tuple[float, ...] = (1.0, 0.85, 0.7, 0.5, 0.3)
     satisfying: float = 0.9

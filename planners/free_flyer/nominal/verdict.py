@@ -54,7 +54,7 @@ def judge_trials(
         status = f"proven infeasible with up to {max_impacts} impacts, {most} straight pieces a leg"
         remedy = "allow more impacts or time, move the areas, or relax the formula"
         return Infeasible(problem, f"{status} and {describe_reserves(task, trials[-1].halvings)}", remedy)
-    late = budget.left <= 0.0
+    late = budget.left <= 0.0 or any(trial.error and "time limit" in trial.error.status for trial in trials)
     done = "" if task.work is None else f" ({task.work.done:.0f} units of work done)"
     limit = f"the time limit of {budget.limit:g} s{done}" if late else "these numbers of impacts, pieces and reserves"
     tried = f"with up to {max_impacts} impacts, {most} straight pieces a leg and {_name_reserves(trials)}"

@@ -95,3 +95,28 @@ def test_own_events_are_both_ends_and_the_hits_of_the_object() -> None:
     assert own_events(word, "pop") == [0, 1, 3, 4]
     assert own_events(word, "plop") == [0, 2, 4]
     assert own_events((), "pop") == [0, 1]
+
+
+@pytest.mark.slow
+def test_objects_that_swap_places_on_one_line_pass_each_other() -> None:
+    values = {
+        "formula": "G[120,120] pop in east & G[120,120] plop in west",
+        "horizon": 120.0,
+        "world.upper": [8.0, 4.0],
+        "robots.snap.start": [0.8, 2.0],
+        "robots.snap.goal": [0.8, 2.0],
+        "robots.crackle.start": [7.2, 2.0],
+        "robots.crackle.goal": [7.2, 2.0],
+        "objects.pop.start": [2.0, 2.0],
+        "objects.plop.start": [6.0, 2.0],
+        "regions.east.lower": [5.5, 1.5],
+        "regions.east.upper": [6.5, 2.5],
+        "regions.west.lower": [1.5, 1.5],
+        "regions.west.upper": [2.5, 2.5],
+    }
+    plan = make_plan(_scenario("exchange").override(values), time_limit=300.0)
+    assert plan.robustness >= 0.25
+    assert len(plan.impacts) == 5
+    times = np.linspace(0.0, 120.0, 1201)
+    apart = plan.objects["pop"].position(times) - plan.objects["plop"].position(times)
+    assert np.linalg.norm(apart, axis=1).min() >= 0.4
