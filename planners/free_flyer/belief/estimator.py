@@ -228,7 +228,7 @@ def update_estimates(
             else options.estimation.flight
         )
         predict_state(memory.filter[k, i], ux, uy, h, unmodelled)
-        if memory.heading[k, i].rate != 0.0:
+        if abs(memory.heading[k, i].rate) > options.estimation.least_turn:
             let_drift_change(memory.filter[k, i], options, h)
         if now <= memory.track[k, i].doubted:
             predict_state(memory.track[k, i].old, ux, uy, h, unmodelled)

@@ -53,6 +53,7 @@ class Estimation:
     drift_change: float = 1e-5  # of the drift of a turning object, a random walk [m/s^2 per square root of s]
     still: Share = 0.15  # share of objects that have none
     offset: Positive = 0.02  # of an object's centre of mass from its geometric centre, per axis [m]
+    least_turn: float = 1e-4  # slower bodies do not turn: rounding in hits makes them, and no offset shows [rad/s]
 
 
 @dataclass(frozen=True)
