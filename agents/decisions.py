@@ -13,6 +13,7 @@ from impact_envs.stl.verdict import judge
 
 # Seconds that a call of the compiled loop takes at most, about: Ctrl-C is answered between two.
 PATIENCE = 0.2
+PIECES = 8  # of the worlds that each thread runs, about
 
 
 class Loop(Protocol):
@@ -114,12 +115,16 @@ class Decisions:
     def _advance(self) -> None:
         """Run the worlds for a while, shared by the threads."""
         count, threads = len(self.steps), self.experts.threads
+        if threads == 1:
+            self._loop.run(0, 0, count)
+            return
+        # Decisions take differently long: whoever is done takes the next piece.
+        pieces = min(PIECES * threads, count)
+        left = iter([(i * count // pieces, (i + 1) * count // pieces) for i in range(pieces)])
 
         def run(thread: int) -> None:
-            self._loop.run(thread, thread * count // threads, (thread + 1) * count // threads)
+            for first, end in left:
+                self._loop.run(thread, first, end)
 
-        if threads == 1:
-            run(0)
-            return
         self._pool = self._pool or ThreadPoolExecutor(threads)
         list(self._pool.map(run, range(threads)))
