@@ -51,5 +51,6 @@ def test_a_small_run_writes_everything(
     assert "pip install vmas mpe2" in printed
     assert "load before" in printed
     assert "| 2+1     | VMAS transport            |" in printed
-    (line,) = (line for line in printed.splitlines() if line.startswith("| 4+3     | pymunk, bare"))
+    line, agent_steps = (line for line in printed.splitlines() if line.startswith("| 4+3     | pymunk, bare"))
+    assert agent_steps.count("|") == line.count("|")
     assert line.rstrip(" |").endswith("-")
