@@ -209,8 +209,10 @@ def check_plan(scenario: Scenario, plan: Plan) -> None:
     """Raise unless a plan was made for a scenario of this name, with these robots and objects.
 
     Raises:
-        InputError: it is another scenario's.
+        InputError: it is no Plan, or another scenario's.
     """
+    if not (hasattr(plan, "robots") and hasattr(plan, "objects")):
+        raise InputError(f"plan = {plan!r:.60}: a Plan is needed, from make_plan or Plan.load")
     bodies = (*plan.robots, *plan.objects)
     if plan.scenario != scenario.name or set(bodies) != set(scenario.bodies):
         raise InputError(

@@ -37,7 +37,8 @@ SHORT = {
 
 
 def make(name: str, suite: str = "all", worlds: int = WORLDS, **options: Any) -> ResidualVectorEnv:
-    return ResidualVectorEnv(name, worlds, suite, get_plan(name, suite), threads=options.pop("threads", 1), **options)
+    settings = {"plan": get_plan(name, suite), "threads": 1} | options
+    return ResidualVectorEnv(name, worlds, suite, **settings)
 
 
 def make_singles(name: str, suite: str = "all", mode: str = "NextStep", **options: Any) -> SyncVectorEnv:
@@ -187,6 +188,7 @@ def test_bad_actions_are_named(actions: Any, words: str) -> None:
         ({"autoreset_mode": "Never"}, "autoreset_mode 'Never' is unknown"),
         ({"max_cycles": 0}, "max_cycles = 0"),
         ({"options": {"plan_anewe": False}}, "plan_anew"),
+        ({"plan": 3}, "plan = 3: a Plan is needed"),
     ],
 )
 def test_bad_arguments_are_named(options: dict[str, Any], words: str) -> None:
