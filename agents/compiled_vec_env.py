@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from agents.residual_vector import ResidualVectorEnv
 from impact_envs.errors import InputError, choices
 from impact_envs.observation import Layout
+from impact_envs.stream import check_seed
 from impact_envs.vector import ImpactVectorEnv
 
 
@@ -70,9 +71,13 @@ class CompiledVecEnv(VecEnv):
 
         Returns:
             The seed of each environment's world.
+
+        Raises:
+            InputError: a seed that is none.
         """
         if seed is None:
             seed = int(np.random.SeedSequence().generate_state(1)[0])
+        seed = check_seed(seed)
         self._seeds = [seed + k // self.envs_per_world for k in range(self.num_envs)]
         return self._seeds
 

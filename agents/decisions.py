@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, Protocol
 
 import numpy as np
@@ -127,4 +127,12 @@ class Decisions:
                 self._loop.run(thread, first, end)
 
         self._pool = self._pool or ThreadPoolExecutor(threads)
-        list(self._pool.map(run, range(threads)))
+        running = [self._pool.submit(run, thread) for thread in range(threads)]
+        try:
+            for future in running:
+                future.result()
+        except BaseException:  # Ctrl-C: nobody may write to the worlds behind whoever resets them
+            for _ in left:  # no further piece is taken
+                pass
+            wait(running)
+            raise

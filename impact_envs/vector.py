@@ -260,7 +260,8 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         for steps, states, bounds in zip(*(a.tolist() for a in (batch.steps, batch.states, batch.bounds)), strict=True):
             poses = {body: (s[0], s[1], s[4]) for body, s in zip(scenario.bodies, states, strict=True)}
             time = steps * scenario.control_period
-            frame = Frame(time=time, poses=poses, robustness=tuple(bounds), caption=scenario.name)
+            chains = batch.task.chains(np.array(states))
+            frame = Frame(time=time, poses=poses, chains=chains, robustness=tuple(bounds), caption=scenario.name)
             images.append(self._renderer.draw(frame))
         return tuple(images)
 

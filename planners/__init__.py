@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from impact_envs.domain import find_part, list_domains, load_attribute
-from impact_envs.errors import InputError, choices
+from impact_envs.errors import InputError, check_count, choices
 from impact_envs.scenario import Scenario, load_scenario
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.options import list_options as flatten
@@ -127,6 +127,8 @@ def make_expert_batch(
         InputError, PlanningError: as make_expert; InputError also for a domain whose expert knows one world only.
     """
     loaded = load_scenario(scenario)
+    check_count("count", count)
+    check_count("threads", threads)
     make = find_part("planners", loaded.domain, "EXPERT_BATCH")
     if make is None:
         raise InputError(f"scenario '{loaded.name}': the expert of domain '{loaded.domain}' knows one world only")

@@ -213,5 +213,7 @@ def test_ctrl_c_is_answered_while_worlds_run() -> None:
     assert time.perf_counter() - asked < 2.0
     with pytest.raises(ResetNeeded):
         worlds.step(np.zeros((512, 2)))
-    worlds.reset(seed=SEED)
-    worlds.step(np.zeros((512, 2)))
+    # No thread goes on behind the reset.
+    twin = make("pong", worlds=512, threads=1, options={"plan_anew": False})
+    np.testing.assert_array_equal(worlds.reset(seed=SEED)[0], twin.reset(seed=SEED)[0])
+    np.testing.assert_array_equal(worlds.step(np.zeros((512, 2)))[0], twin.step(np.zeros((512, 2)))[0])

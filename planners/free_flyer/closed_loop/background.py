@@ -80,9 +80,10 @@ class Background:
         if request is not None:
             if now < request.begin - EARLY:
                 return None
-            del self._pending[k]
+            taken = self._take_plan(memory, k, request)
+            del self._pending[k]  # only now: an interrupted wait leaves a question that can be forgotten
             self._allow_next(k, now)
-            return self._take_plan(memory, k, request)
+            return taken
         if now >= self._next.get(k, math.inf):
             del self._next[k]
             memory.wanted[k] = math.inf

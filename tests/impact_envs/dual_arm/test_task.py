@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from impact_envs import load_scenario, parallel_env
+from impact_envs import JointEnv, load_scenario, parallel_env, vector_env
 from impact_envs.dual_arm.grasp_record import FIRST, GRASP
 from impact_envs.dual_arm.model import DualArmModel
 from impact_envs.dual_arm.plant import NORMAL
@@ -162,3 +162,10 @@ def test_shapes_stand_where_the_scenario_says():
     assert {"goal", "table", "box", "arm_1", "arm_2"} == set(shapes)
     assert max(y for _, y in shapes["table"].vertices) == pytest.approx(0.15)  # under the box
     assert {shape.body for shape in shapes.values()} == {None, "box", "arm_1", "arm_2"}
+
+
+def test_many_worlds_are_drawn_with_their_arms():
+    worlds, single = vector_env("dual_arm_grasp", 1, render_mode="rgb_array"), JointEnv("dual_arm_grasp", "rgb_array")
+    worlds.reset(seed=3)
+    single.reset(seed=3)
+    assert np.array_equal(worlds.render()[0], single.render())

@@ -154,7 +154,7 @@ def test_bad_input_is_refused():
         experts.correct(np.array([False, True]), np.zeros(2))
     with pytest.raises(InputError, match=r"expert\.solver = daqp: many worlds at once take goldfarb_idnani only"):
         make_expert_batch(SHORT, 2, options={"solver": "daqp"})
-    with pytest.raises(InputError, match="at least 1 world is needed"):
+    with pytest.raises(InputError, match="count = 0: a whole number from 1"):
         make_expert_batch(SHORT, 0)
     with pytest.raises(InputError, match="whose expert follows no plan"):
         make_expert_batch(SHORT, 2, plan=object())

@@ -89,7 +89,7 @@ def test_bad_input_is_refused_in_one_line():
     experts, worlds = make_expert_batch(scenario, 2), vector_env(scenario, 2, threads=1)
     with pytest.raises(InputError, match=r"observations have shape \(2, 5\)"):
         experts.act(np.zeros((2, 5)))
-    with pytest.raises(InputError, match="at least 1 world"):
+    with pytest.raises(InputError, match="count = 0: a whole number from 1"):
         make_expert_batch(scenario, 0)
     with pytest.raises(InputError, match="follows no plan"):
         make_expert_batch(scenario, 2, plan=object())
