@@ -9,6 +9,7 @@ Ctrl-C prints what has been planned so far.
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -21,8 +22,10 @@ from typing import Any
 import numpy as np
 import tyro
 
+from impact_envs.errors import InputError, check_count
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import build_scenario
+from impact_envs.stream import check_seed
 from planners.errors import Infeasible, PlanningError
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
 
@@ -220,6 +223,10 @@ def print_table(rows: list[Row]) -> None:
 
 def main(args: Args) -> None:
     """Plan the tasks and print the table."""
+    check_count("count", args.count)
+    check_seed(args.seed)
+    if not args.time_limit > 0.0:
+        raise InputError(f"time_limit = {args.time_limit}: a number above 0 is needed [s]")
     rows: list[Row] = []
     try:
         for seed, kind, data in draw_tasks(args.count, args.seed):
@@ -238,4 +245,8 @@ def main(args: Args) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args))
+    try:
+        main(tyro.cli(Args))
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)

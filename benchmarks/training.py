@@ -231,4 +231,5 @@ if __name__ == "__main__":
     try:
         main(tyro.cli(Args))
     except InputError as error:
-        sys.exit(f"error: {error}")
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
