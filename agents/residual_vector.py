@@ -48,6 +48,8 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         autoreset_mode: as Gymnasium defines them: ``NEXT_STEP``, ``SAME_STEP`` or ``DISABLED``.
         max_cycles: truncate earlier than the horizon [control periods].
         threads: that share the worlds; all cores if not given.
+        render_mode: None; these worlds are not drawn.
+        max_episode_steps: what ``gymnasium.make_vec`` calls ``max_cycles``, in control periods, too.
 
     Raises:
         ScenarioError: the scenario or the suite is unknown.
@@ -65,7 +67,19 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_cycles: int | None = None,
         threads: int | None = None,
+        render_mode: None = None,
+        max_episode_steps: int | None = None,
     ) -> None:
+        if render_mode is not None:
+            raise InputError(
+                f"render_mode '{render_mode}': decisions of many worlds are not drawn; "
+                "gymnasium.make_vec(..., vectorization_mode='sync') draws each world"
+            )
+        if max_episode_steps is not None:
+            if max_cycles is not None:
+                raise InputError(f"max_cycles = {max_cycles}, max_episode_steps = {max_episode_steps}: give only one")
+            check_count("max_episode_steps", max_episode_steps)
+            max_cycles = max_episode_steps
         loaded = load_scenario(scenario).suite(suite)
         make_loop = find_part("agents", loaded.domain, "LOOP")
         if make_loop is None:

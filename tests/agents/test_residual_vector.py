@@ -162,6 +162,9 @@ def test_make_vec_gives_it() -> None:
     assert isinstance(made.unwrapped, ResidualVectorEnv)
     features, _ = made.reset(seed=0)
     assert features.shape == (2, 27)
+    cut = gymnasium.make_vec(gym_id("corridor", residual=True), num_envs=2, plan=plan, max_episode_steps=50)
+    cut.reset(seed=0)
+    assert cut.step(np.zeros((2, 2)))[3].all()
 
 
 @pytest.mark.parametrize(
@@ -189,6 +192,9 @@ def test_bad_actions_are_named(actions: Any, words: str) -> None:
         ({"max_cycles": 0}, "max_cycles = 0"),
         ({"options": {"plan_anewe": False}}, "plan_anew"),
         ({"plan": 3}, "plan = 3: a Plan is needed"),
+        ({"render_mode": "rgb_array"}, "render_mode 'rgb_array': decisions of many worlds are not drawn"),
+        ({"max_episode_steps": 0}, "max_episode_steps = 0"),
+        ({"max_episode_steps": 5, "max_cycles": 5}, "give only one"),
     ],
 )
 def test_bad_arguments_are_named(options: dict[str, Any], words: str) -> None:
