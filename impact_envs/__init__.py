@@ -18,6 +18,7 @@ from impact_envs.scenario import Scenario, list_scenarios, load_scenario
 
 if TYPE_CHECKING:
     from impact_envs.env import ImpactEnv, parallel_env
+    from impact_envs.function_policy import JointPolicy, SharedPolicy
     from impact_envs.joint import JointEnv
     from impact_envs.vector import ImpactVectorEnv, vector_env
 
@@ -29,10 +30,12 @@ __all__ = [
     "ImpactVectorEnv",
     "InputError",
     "JointEnv",
+    "JointPolicy",
     "Policy",
     "ResetNeeded",
     "Scenario",
     "ScenarioError",
+    "SharedPolicy",
     "gym_id",
     "list_scenarios",
     "load_scenario",
@@ -46,6 +49,8 @@ _LAZY = {
     "ImpactEnv": "env",
     "ImpactVectorEnv": "vector",
     "JointEnv": "joint",
+    "JointPolicy": "function_policy",
+    "SharedPolicy": "function_policy",
     "parallel_env": "env",
     "vector_env": "vector",
 }

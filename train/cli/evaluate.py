@@ -21,7 +21,8 @@ class Command:
     scenarios: Positional[tuple[str, ...]]
     """Shipped names or TOML files."""
     policies: tuple[str, ...] = ("expert", "zero")
-    """expert, oracle (told the truth), zero, random, variants of the expert, shipped policies or checkpoint folders."""
+    """expert, oracle (told the truth), zero, random, variants of the expert, shipped policies or checkpoint folders, or
+    MODULE:FACTORY of your own (module in the working folder, or a file: mine.py:make)."""
     episodes: int = 20
     """Episodes per scenario, suite and policy."""
     seed: int = EVALUATION_SEEDS

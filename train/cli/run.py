@@ -27,7 +27,8 @@ class Command:
     scenario: Positional[str]
     """Shipped name or TOML file."""
     policy: str = "expert"
-    """expert, oracle (told the truth), zero, random, a variant of the expert, a shipped policy or checkpoint folder."""
+    """expert, oracle (told the truth), zero, random, a variant of the expert, a shipped policy or checkpoint folder, or
+    MODULE:FACTORY of your own (module in the working folder, or a file: mine.py:make)."""
     seed: int = EVALUATION_SEEDS
     """Of the whole episode."""
     suite: str = "nominal"
@@ -51,6 +52,7 @@ class Command:
         from impact_envs.env import parallel_env
         from impact_envs.rollout import rollout
         from train.evaluation.metrics import find_metrics, measure
+        from train.evaluation.own_policy import announce
         from train.evaluation.player import make_policy
 
         settings = parse_settings(self.set)
@@ -60,6 +62,7 @@ class Command:
         film = self._check(scenario)
         given = load_plan(self.plan, scenario, self.rename) if self.plan else None
         plan = given.admit(self.force) if given else None
+        announce((self.policy,))
         policy = make_policy(self.policy, scenario, plan, case.options)
         record = self._make_record(scenario, policy)
         env = parallel_env(scenario, render_mode="rgb_array" if film else self.render)
