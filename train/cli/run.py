@@ -10,6 +10,7 @@ from typing import Any
 from tyro.conf import Positional
 
 from impact_envs.domain import find_part
+from impact_envs.episode_file import check_episode_path
 from impact_envs.errors import InputError
 from impact_envs.scenario import Scenario
 from train.cli.plan import check_plan_options, load_plan
@@ -45,6 +46,8 @@ class Command:
     """human, or a file ending in .mp4, .gif or .png (the last frame)."""
     plot: Path | None = None
     """Draw the whole episode: a file ending in .png, .pdf or .svg."""
+    save: Path | None = None
+    """Write the trajectory, with actions, rewards and impacts: a file ending in .npz, .parquet or .csv."""
     json: bool = False
 
     def run(self) -> dict[str, Any]:
@@ -81,6 +84,8 @@ class Command:
         env.close()
         if self.plot:
             find_part("train", scenario.domain, "PICTURE")(record, episode, self.plot)
+        if self.save:
+            episode.save(self.save)
         figures = find_part("train", scenario.domain, "FIGURES")
         return (
             _summarize(episode, self.suite)
@@ -101,6 +106,8 @@ class Command:
             check_picture_path(self.plot)
             if find_part("train", scenario.domain, "PICTURE") is None:
                 raise InputError(f"--plot {self.plot}: domain '{scenario.domain}' draws no picture of an episode")
+        if self.save:
+            check_episode_path(self.save)
         return _open_film(self.render)
 
     def _make_record(self, scenario: Scenario, policy: Any) -> Any:
