@@ -141,8 +141,8 @@ class Episode:
         """Write the episode for other programs, in SI units.
 
         ``.npz``: one archive: times, signals by name, ``AGENT.actions``, ``AGENT.rewards``, ``robustness_bounds``,
-        ``impacts.time`` and so on, and ``facts``, JSON text of all that is one number or word. ``.csv``, ``.parquet``: a
-        table with a row for each time (actions and rewards stand in the row where their step begins; the last row has
+        ``impacts.time`` and so on, and ``facts``, JSON text of all that is one number or word. ``.csv``, ``.parquet``:
+        a table with a row for each time (actions and rewards stand in the row where their step begins; the last row has
         none), beside it a table ``FILE.impacts`` and ``FILE.facts.json``.
 
         Args:

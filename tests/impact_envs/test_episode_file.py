@@ -1,6 +1,7 @@
 """What an episode's file holds is what happened, in every format, and adds up to what the episode says."""
 
 import csv
+import itertools
 import json
 
 import numpy as np
@@ -103,7 +104,7 @@ def test_plan_samples_obey_newton(tmp_path, capsys):
     robot, mass = read_csv(folder / "snap.csv"), load_scenario("throw_and_catch").robots["snap"].mass
     v, force, t = (np.array([float(x) for x in robot[name]]) for name in ("vx", "force_x", "t"))
     hits = [float(time) for time in read_csv(folder / "plan.impacts.csv")["time"]]
-    free = np.array([not any(a <= hit <= b for hit in hits) for a, b in zip(t[:-1], t[1:], strict=True)])
+    free = np.array([not any(a <= hit <= b for hit in hits) for a, b in itertools.pairwise(t)])
     mean = (force[1:] + force[:-1]) / 2
     assert np.allclose((mass * np.diff(v))[free], (mean * np.diff(t))[free], atol=2e-3)
     assert set(robot["heading"]) == {"0.0"}
