@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from impact_envs.joint import JointEnv
     from impact_envs.vector import ImpactVectorEnv, vector_env
 
+__version__ = "0.1.0"
+
 __all__ = [
     "Diagnostics",
     "Episode",

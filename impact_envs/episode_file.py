@@ -61,8 +61,9 @@ def save_episode(episode: Any, path: str | Path) -> tuple[Path, ...]:
     path = check_episode_path(path)
     facts = {name: getattr(episode, name) for name in FACTS}
     if path.suffix.lower() == ".npz":
+        content: dict[str, Any] = {**_list_arrays(episode), "facts": np.array(json.dumps(facts, default=_plain))}
         with replace_file(path) as partial:
-            np.savez_compressed(partial, **_list_arrays(episode), facts=np.array(json.dumps(facts, default=_plain)))
+            np.savez_compressed(partial, **content)
         return (path,)
     facts_path = path.with_name(f"{path.stem}.facts.json")  # FILE.json may be something else
     written = [path, _insert(path, "impacts"), facts_path]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -10,6 +12,7 @@ from tyro.conf import Positional
 
 from impact_envs.errors import InputError
 from train.cli.plan import check_plan_options, load_plan
+from train.cli.progress import say_written
 from train.cli.settings import parse_settings
 from train.evaluation.case import EVALUATION_SEEDS, make_cases
 
@@ -66,6 +69,9 @@ class Command:
             self.workers,
             self.out,
         )
+        if self.out is not None:
+            say_written(self.out)
+            print(f"next: impact report {shlex.quote(str(self.out))}", file=sys.stderr)
         return {"rows": result.rows, "paired": result.paired, "set": settings} | self._describe_plan()
 
     def _check_plan(self) -> None:

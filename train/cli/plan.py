@@ -13,6 +13,7 @@ from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from impact_envs.file import make_file_name, write_table
 from impact_envs.scenario import load_scenario
+from train.cli.progress import say_written
 from train.pictures.file import check_picture_path
 
 if TYPE_CHECKING:
@@ -22,7 +23,10 @@ if TYPE_CHECKING:
 
 @dataclass
 class Command:
-    """Plan a scenario, prove the plan's optimality and check it by simulation."""
+    """Plan a scenario of free-flyers, prove the plan's optimality and check it by simulation.
+
+    The experts of the other domains, floating_manipulator and dual_arm, follow no plan.
+    """
 
     scenario: Positional[str]
     """Shipped name or TOML file."""
@@ -110,14 +114,14 @@ class Command:
     def _write(self, scenario: Any, plan: Plan) -> None:
         if self.out:
             plan.save(self.out)
-        if self.csv:
-            _write_samples(scenario, plan, self.csv)
+        samples = _write_samples(scenario, plan, self.csv) if self.csv else []
         if self.published:
             from planners.free_flyer.published.plan_file import write_published_plan
 
             write_published_plan(plan, self.published, scenario.name)
         if self.plot:
             find_part("train", scenario.domain, "PLAN_PICTURE")(scenario, plan, self.plot)
+        say_written(self.out, *samples, self.published, self.plot)
 
     def _plan_by_bezier(self, scenario: Any) -> dict[str, Any]:
         from planners.free_flyer.published.encoding import make_bezier_plan
@@ -266,8 +270,8 @@ def _summary(scenario: Any, plan: Plan) -> dict[str, Any]:
         "gap": round(plan.gap, 6),
         **deviation,
         **_describe_shapes(plan),
-        "effort": plan.effort,
-        "effort_bound": plan.effort_bound,
+        "path_cost": plan.effort,
+        "path_cost_bound": plan.effort_bound,
         "impacts": [
             {
                 "time": hit.time,

@@ -14,6 +14,7 @@ from impact_envs.episode_file import check_episode_path
 from impact_envs.errors import InputError
 from impact_envs.scenario import Scenario
 from train.cli.plan import check_plan_options, load_plan
+from train.cli.progress import say_written
 from train.cli.settings import parse_settings
 from train.evaluation.case import EVALUATION_SEEDS, check_settings, has_expert, make_case
 from train.pictures.file import check_picture_path
@@ -84,15 +85,16 @@ class Command:
         env.close()
         if self.plot:
             find_part("train", scenario.domain, "PICTURE")(record, episode, self.plot)
-        if self.save:
-            episode.save(self.save)
+        saved = episode.save(self.save) if self.save else ()
+        say_written(film and film.path, self.plot, *saved)
         figures = find_part("train", scenario.domain, "FIGURES")
         return (
-            _summarize(episode, self.suite)
+            _summarize(episode, scenario, self.suite)
             | {"set": settings}
             | measure(find_metrics(scenario.domain), episode, scenario, _find_plan(policy))
             | (figures(record, episode) if figures else {})
             | (given.describe() if given else {})
+            | _explain(episode, scenario, self.policy)
         )
 
     def _check(self, scenario: Scenario) -> Any:
@@ -145,7 +147,14 @@ def _sample_curves(policy: Any) -> dict[str, Any]:
     return {name: np.array([curve.position(t) for t in times]) for name, curve in curves.items()}
 
 
-def _summarize(episode: Any, suite: str) -> dict[str, Any]:
+def _explain(episode: Any, scenario: Scenario, policy: str) -> dict[str, str]:
+    """Return why an episode of an expert ends without success where the published one does."""
+    outcomes = find_part("train", scenario.domain, "OUTCOMES") or {}
+    told = not episode.success and has_expert(policy) and episode.scenario in outcomes
+    return {"note": outcomes[episode.scenario]} if told else {}
+
+
+def _summarize(episode: Any, scenario: Scenario, suite: str) -> dict[str, Any]:
     import numpy as np
 
     ms = episode.solve_seconds * 1e3
@@ -153,6 +162,7 @@ def _summarize(episode: Any, suite: str) -> dict[str, Any]:
     quantiles = {name: round(float(np.quantile(ms, q)), 4) for name, q in names.items()} if len(ms) else None
     return {
         "scenario": episode.scenario,
+        "domain": scenario.domain,
         "suite": suite,
         "policy": episode.policy,
         "seed": episode.seed,
@@ -175,5 +185,5 @@ def _summarize(episode: Any, suite: str) -> dict[str, Any]:
         "fallbacks": dict(episode.fallbacks),
         "replans": episode.replans,
         "reoptimised": dict(episode.reoptimised),
-        "wall_seconds": episode.wall_seconds,
+        "episode_seconds": episode.wall_seconds,
     }
