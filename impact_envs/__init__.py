@@ -1,6 +1,6 @@
 """Robots that move free-floating objects by hitting them: environments with exact impacts and STL tasks.
 
-The public door. Importing it registers the Gymnasium ids and loads no solver and no learner.
+The public door. Importing it registers the ids with Gymnasium and PettingZoo, and loads no solver and no learner.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
+import pettingzoo
 
 from impact_envs.errors import FormulaError, InputError, ResetNeeded, ScenarioError
 
@@ -99,6 +100,8 @@ def __getattr__(name: str) -> Any:
 
 
 for _name in list_scenarios():
+    for _kind in ("parallel", "aec"):
+        pettingzoo.register(_kind, gym_id(_name), f"impact_envs.env:{_kind}_env", kwargs={"scenario": _name})
     gymnasium.register(
         gym_id(_name),
         "impact_envs.joint:JointEnv",

@@ -51,8 +51,23 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None and spec.max_episode_steps is None:
-            spec.max_episode_steps = min(self.parallel.max_cycles, self.parallel.scenario.steps)
+            spec.max_episode_steps = self._max_episode_steps
         self._spec = spec
+
+    @property
+    def _max_episode_steps(self) -> int:
+        """Return the length of an episode, under the name by which LeRobot asks for it."""
+        return min(self.parallel.max_cycles, self.parallel.scenario.steps)
+
+    @property
+    def task(self) -> str:
+        """Return the name of what is asked."""
+        return self.parallel.scenario.name
+
+    @property
+    def task_description(self) -> str:
+        """Return what is asked, in a sentence."""
+        return self.parallel.scenario.description
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
