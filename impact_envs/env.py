@@ -154,6 +154,7 @@ class ImpactEnv(ParallelEnv):
         self.lasting_contacts: list[LastingContact] = []  # of the last control period; free-flyers alone have them
         self.impulse = 0.0  # propulsion spent since reset
         self.failure: SimulationFailed | None = None  # that ended the episode
+        self.infos: dict[str, Any] = {}  # what every agent was told last
         self._rng: np.random.Generator | None = None
         self._renderer: Any = None
         self._trailed: list[str] = []  # bodies whose path is drawn
@@ -207,7 +208,9 @@ class ImpactEnv(ParallelEnv):
         self.bounds = self._watch()
         self._track, self._marks = [], []
         self._remember()
-        return self.task.observe(0.0, self.bounds), self._infos()
+        infos = self._infos()
+        self.infos = next(iter(infos.values()))
+        return self.task.observe(0.0, self.bounds), infos
 
     def step(
         self, actions: Mapping[str, np.ndarray]
@@ -250,6 +253,7 @@ class ImpactEnv(ParallelEnv):
         agents, team = self.agents, compute_team_reward(before, self.bounds, over)
         rewards = {agent: compute_reward(team, len(agents), self.task.effort(actions[agent])) for agent in agents}
         observations, infos = self.task.observe(self.time, self.bounds), self._infos(over)
+        self.infos = infos[agents[0]]
         if over:
             self.agents = []
         if self.render_mode == "human":
