@@ -1,5 +1,8 @@
 """Handles that libraries look for: PettingZoo's registry, lengths, tasks in words, success at every step."""
 
+import re
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pettingzoo
@@ -9,6 +12,7 @@ from pettingzoo.test import parallel_api_test
 from impact_envs import gym_id, list_scenarios, load_scenario, parallel_env, vector_env
 from impact_envs.stl.verdict import compute_outcome, judge
 
+PAGE = Path(__file__).parents[2] / "docs" / "doors.md"
 VARIED = ("throw_and_catch", "floating_manipulator_thrusters", "dual_arm_grasp")
 
 
@@ -98,3 +102,12 @@ def test_residual_ids_tell_success_too(mode):
         over = terminated or truncated
         infos = infos["final_info"] if over and mode == "SameStep" else infos
     assert info["is_success"] is info["success"] is True
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("library", ["torchrl", "ray"])
+def test_the_page_does_what_it_says(library, capsys):
+    pytest.importorskip(library, reason=f"impact-envs[{library}] is not installed")
+    text = PAGE.read_text()
+    exec(compile(re.search(rf"```python {library}\n(.*?)```", text, re.S)[1], str(PAGE), "exec"), {})
+    assert {"torchrl": "torch.Size([64, 20, 2, 25])", "ray": "200"}[library] in capsys.readouterr().out
