@@ -154,9 +154,11 @@ class ImpactEnv(ParallelEnv):
         self.failure: SimulationFailed | None = None  # that ended the episode
         self._rng: np.random.Generator | None = None
         self._renderer: Any = None
+        self.caption = ""  # over pictures; the scenario's name where nobody says more
+        self.speed: float | None = None  # time shown in one second of a film, written into its pictures
         self._trailed: list[str] = []  # bodies whose path is drawn
-        self._track: list[dict[str, tuple[float, float, float]]] = []  # poses of every step, kept for rendering
-        self._marks: list[Impact] = []
+        self._track = np.zeros((0, 0, 3))  # poses of every step, kept for rendering
+        self._marks: list[tuple[Impact, list[tuple[float, float, float, float]]]] = []
 
     def observation_space(self, agent: str) -> Box:
         """Return the agent's observation space, the same object at every call."""
@@ -203,7 +205,7 @@ class ImpactEnv(ParallelEnv):
         self.signals = self.task.signals(self._states)
         self.monitor.reset()
         self.bounds = self._watch()
-        self._track, self._marks = [], []
+        self._marks = []
         self._remember()
         return self.task.observe(0.0, self.bounds), self._infos()
 
@@ -232,7 +234,7 @@ class ImpactEnv(ParallelEnv):
             self._check_started("step")
             raise ResetNeeded("step after the end of the episode: call reset first")
         controls = self.task.controls(actions)
-        before = self.bounds
+        before, signals = self.bounds, self.signals
         self._advance(controls)
         self.steps += 1
         self.impulse += self.task.impulse(controls)
@@ -242,7 +244,7 @@ class ImpactEnv(ParallelEnv):
             self.bounds = self._watch()
         else:
             self.bounds = (-self._limit, -self._limit)
-        self._remember()
+        self._remember(signals)
         failed = self.failure is not None
         over = failed or self.steps >= min(self.max_cycles, self._last)
         agents, team = self.agents, compute_team_reward(before, self.bounds, over)
@@ -290,24 +292,50 @@ class ImpactEnv(ParallelEnv):
         self._check_started("render")
         if self.render_mode is None:
             return None
-        from impact_envs.render import Frame, Renderer
-
-        world = self.scenario.world
         if self._renderer is None:
+            self._renderer = self.make_renderer(self.render_mode)
+        return self._renderer.draw(self.make_frame(), last=not self.agents)
+
+    def make_renderer(self, mode: str, **options: Any) -> Any:
+        """Return what draws this world's frames.
+
+        Args:
+            mode: ``human`` or ``rgb_array``.
+            options: of `impact_envs.render.Renderer`, for example speed.
+        """
+        from impact_envs.picture.view import ARROW_SHARE, find_view
+        from impact_envs.render import Renderer
+
+        arrow = ARROW_SHARE * self.scenario.horizon
+        return Renderer(*find_view(self.scenario), self.task.shapes(), mode, arrow=arrow, **options)
+
+    def make_frame(self) -> Any:
+        """Return what is to be drawn of the present step; paths and impacts only with a ``render_mode``.
+
+        Raises:
+            ResetNeeded: before the first reset.
+        """
+        from impact_envs.picture.unit import find_unit
+        from impact_envs.render import Frame, Mark
+
+        self._check_started("make_frame")
+        bodies = self.scenario.bodies
+        if not self._trailed:
             shapes = self.task.shapes()
-            self._renderer = Renderer(world.lower, world.upper, shapes, self.render_mode)
             self._trailed = [shape.body for shape in shapes if shape.body is not None and shape.label]
-        frame = Frame(
+        past = self._track[: self.steps + 1]
+        return Frame(
             time=self.time,
-            poses=self._track[-1],
+            poses=dict(zip(bodies, self._list_poses(), strict=True)),
             chains=self.task.chains(self._states),
-            trails={body: np.array([step[body][:2] for step in self._track]) for body in self._trailed},
+            trails={body: past[:, bodies.index(body), :2] for body in self._trailed} if len(past) else {},
             plans=self.curves,
-            impacts=[(*mark.point, self.time - mark.time) for mark in self._marks],
+            impacts=[Mark(*mark.point, self.time - mark.time, changes) for mark, changes in self._marks],
             robustness=self.bounds,
-            caption=self.scenario.name,
+            unit=find_unit(self.scenario.specification),
+            caption=self.caption or self.scenario.name,
+            speed=self.speed,
         )
-        return self._renderer.draw(frame)
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -354,12 +382,30 @@ class ImpactEnv(ParallelEnv):
             return error
         raise error
 
-    def _remember(self) -> None:
-        if self.render_mode is not None:
-            s = self.signals
-            bodies = self.scenario.bodies
-            self._track.append({b: (s[f"{b}.x"], s[f"{b}.y"], s[f"{b}.heading"]) for b in bodies})
-            self._marks += self.impacts
+    def _list_poses(self) -> list[tuple[float, float, float]]:
+        s = self.signals
+        return [(s[f"{body}.x"], s[f"{body}.y"], s[f"{body}.heading"]) for body in self.scenario.bodies]
+
+    def _remember(self, before: Mapping[str, float] | None = None) -> None:
+        """Keep what pictures show of the past.
+
+        Args:
+            before: signals of the step before; a body's change of velocity in an impact is that of the whole step.
+        """
+        if self.render_mode is None:
+            return
+        if before is None:
+            self._track = np.empty((self._last + 1, len(self.scenario.bodies), 3))
+        self._track[self.steps] = self._list_poses()
+        s, bodies = self.signals, self.scenario.bodies
+        before = before or s
+        for impact in self.impacts:
+            changes = []
+            for body in (impact.a, impact.b):
+                if body in bodies:
+                    x, y, vx, vy = (f"{body}.{name}" for name in ("x", "y", "vx", "vy"))
+                    changes.append((before[x], before[y], s[vx] - before[vx], s[vy] - before[vy]))
+            self._marks.append((impact, changes))
 
     def _watch(self) -> tuple[float, float]:
         """Take the formula's sample; return the interval of robustness still possible, clipped."""

@@ -249,19 +249,21 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             raise ResetNeeded("render before reset: call reset first")
         if self.render_mode is None:
             return None
+        from impact_envs.picture.unit import find_unit
+        from impact_envs.picture.view import find_view
         from impact_envs.render import Frame, Renderer
 
         scenario: Any = self.scenario
         batch = self.batch
         if self._renderer is None:
             shapes = find_part("impact_envs", scenario.domain, "TASK")(scenario).shapes()
-            self._renderer = Renderer(scenario.world.lower, scenario.world.upper, shapes, self.render_mode)
-        images = []
+            self._renderer = Renderer(*find_view(scenario), shapes, self.render_mode)
+        images, unit = [], find_unit(scenario.specification)
         for steps, states, bounds in zip(*(a.tolist() for a in (batch.steps, batch.states, batch.bounds)), strict=True):
             poses = {body: (s[0], s[1], s[4]) for body, s in zip(scenario.bodies, states, strict=True)}
             time = steps * scenario.control_period
             chains = batch.task.chains(np.array(states))
-            frame = Frame(time=time, poses=poses, chains=chains, robustness=tuple(bounds), caption=scenario.name)
+            frame = Frame(time, poses, chains, robustness=tuple(bounds), unit=unit, caption=scenario.name)
             images.append(self._renderer.draw(frame))
         return tuple(images)
 

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from impact_envs import drawing
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.dual_arm.task import DualArmTask
 from impact_envs.env import parallel_env
 from impact_envs.errors import InputError
+from impact_envs.picture import drawing
 from impact_envs.rollout import Episode, Policy, rollout
 from planners import make_expert
 from planners.dual_arm.reference import PostField, compute_ante_velocity, compute_post_reference

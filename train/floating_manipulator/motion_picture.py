@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from impact_envs import drawing
 from impact_envs.floating_manipulator.task import FloatingManipulatorTask
+from impact_envs.picture import drawing
 from impact_envs.rollout import Episode
 from impact_envs.shape import Shape
 from train.floating_manipulator.motion_record import ManipulatorRecord

@@ -20,9 +20,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from impact_envs import drawing
-from impact_envs.drawing import mix
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.picture import drawing
+from impact_envs.picture.drawing import mix
 from impact_envs.rollout import Episode
 from planners.free_flyer.belief.world_memory import COUNTERS
 from planners.plan import Plan
