@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ LONGEST_WAIT = (
 )
 HOLD = 2.0  # for which a film and a window stay at the end, with the verdict [s]
 WINDOW = "human"
+OnKey = Callable[[str, bool], None]
 
 
 class Viewer:
@@ -28,18 +31,24 @@ class Viewer:
         scenario: where.
         speed: time shown in one second; None chooses 3 times real time, less for a short episode.
         caption: over the pictures.
+        on_key: called with the name of a key of which a window knows nothing, and whether it is pressed or let go.
+
+    Attributes:
+        note: at the lower edge of a window.
 
     Raises:
         InputError: another file, a folder that is missing, or a speed that is not above zero.
     """
 
-    def __init__(self, target: str, scenario: Scenario, speed: float | None, caption: str) -> None:
+    def __init__(
+        self, target: str, scenario: Scenario, speed: float | None, caption: str, on_key: OnKey | None = None
+    ) -> None:
         from impact_envs.picture.film import SUFFIXES, Film
 
         if speed is not None and not 0.0 < speed < float("inf"):
             raise InputError(f"--speed {speed:g} is no speed; choices: numbers above 0; 1 is real time")
         self.speed = speed or min(PACE, LONGEST_WAIT * scenario.horizon)
-        self.caption, self._stack = caption, ExitStack()
+        self.caption, self.note, self._on_key, self._stack = caption, "", on_key, ExitStack()
         # Whole control periods between frames; their number per second then gives exactly the speed that is shown.
         self._every = max(1, round(self.speed / FPS / scenario.control_period))
         self._film: Film | None = None
@@ -76,8 +85,8 @@ class Viewer:
                 self._film.add(env.render())
             return
         if self._window is None:
-            self._window = env.make_renderer(WINDOW, speed=self.speed)
+            self._window = env.make_renderer(WINDOW, speed=self.speed, on_key=self._on_key)
             self._stack.callback(self._window.close)
-        self._window.draw(env.make_frame(), last=over)
+        self._window.draw(replace(env.make_frame(), note=self.note), last=over)
         if over:
             self._window.hold(HOLD)
