@@ -8,8 +8,8 @@ from typing import Any
 from tyro.conf import Positional
 
 from impact_envs.errors import InputError, choices
-from train.cli.settings import parse_settings
 from train.evaluation.case import EVALUATION_SEEDS, check_settings, make_case
+from train.settings import parse_settings
 
 OTHERS = ("zero", "expert")
 
