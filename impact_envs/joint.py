@@ -13,6 +13,7 @@ from gymnasium.spaces import Box
 
 from impact_envs.agent_vectors import read_vector
 from impact_envs.env import parallel_env
+from impact_envs.reward import ROBUSTNESS
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.stream import check_seed
 
@@ -25,7 +26,8 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Observation space: everything measured once (bodies in scenario order, contacts, time / horizon, robustness
     interval; see the task's ``observe_jointly``).
 
-    Rewards, starting state, episode end: as ImpactEnv; the reward is the sum over agents. ``max_cycles`` cuts an
+    Rewards, starting state, episode end: as ImpactEnv; the reward is the sum over agents, and
+    ``reward`` says which. ``max_cycles`` cuts an
     episode, and its last info has the verdict; Gymnasium's ``max_episode_steps`` cuts from outside, without one.
     ``suite`` names the mismatch suite of the true world.
     """
@@ -37,11 +39,13 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         scenario: str | Path | Scenario,
         render_mode: str | None = None,
         max_cycles: int | None = None,
+        reward: str = ROBUSTNESS,
         suite: str = "nominal",
     ) -> None:
         self._spec: EnvSpec | None = None
         loaded = load_scenario(scenario)
-        self.parallel = parallel_env(loaded if suite == "nominal" else loaded.suite(suite), render_mode, max_cycles)
+        chosen = loaded if suite == "nominal" else loaded.suite(suite)
+        self.parallel = parallel_env(chosen, render_mode, max_cycles, reward)
         self.render_mode = render_mode
         sizes = [self.parallel.action_space(agent).shape[0] for agent in self.parallel.possible_agents]
         *starts, size = itertools.accumulate(sizes, initial=0)
