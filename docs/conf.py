@@ -10,13 +10,15 @@ from pathlib import Path
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
 sys.path.insert(0, str(ROOT))
+os.environ["PYTHONPATH"] = str(ROOT)  # of the kernels that run the tutorials
 
+from docs.pages.docstrings import register_docstrings  # noqa: E402
 from docs.pages.mathematics import register_mathematics  # noqa: E402
 from docs.pages.write import write_pages  # noqa: E402
 
 project = "impact-envs"
 release = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-copyright = "the authors of impact-envs"
+copyright = "the impact-envs developers"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 exclude_patterns = ["build", "pages", "generated/*.txt", "generated/static"]
 nitpicky = False
@@ -34,6 +36,7 @@ myst_heading_anchors = 4
 nb_execution_mode = "off" if os.environ.get("DOCS_EXECUTE") == "0" else "cache"
 nb_execution_timeout = 900
 nb_execution_raise_on_error = True
+nb_execution_in_temp = True
 nb_execution_cache_path = str(DOCS / "build" / "executed")
 nb_merge_streams = True
 
@@ -47,4 +50,5 @@ napoleon_use_rtype = False
 def setup(app: object) -> None:
     """Write the generated pages before Sphinx looks for files."""
     write_pages()
+    register_docstrings(app)
     register_mathematics(app)

@@ -10,6 +10,7 @@ from docs.pages.command_line import write_commands
 from docs.pages.environment import write_environment, write_index
 from docs.pages.formula import write_examples, write_operators, write_predicates
 from docs.pages.options import write_options
+from docs.pages.pictures import PLOTS, make_pictures
 from docs.pages.scenario_file import write_keys
 from impact_envs import list_scenarios
 
@@ -30,9 +31,10 @@ def write_pages(folder: Path = GENERATED) -> None:
         made.mkdir(parents=True, exist_ok=True)
     names, films = list_scenarios(), dict[str, str]()
     if os.environ.get(WITH_PICTURES) != "0":
-        from docs.pages.pictures import make_pictures
-
         films = make_pictures(static, names)
+    else:
+        for file in PLOTS:
+            (static / file).touch()
     (pages / "index.md").write_text(write_index(names), encoding="utf-8")
     for name in names:
         (pages / f"{name}.md").write_text(write_environment(name, films.get(name)), encoding="utf-8")

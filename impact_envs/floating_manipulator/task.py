@@ -70,7 +70,7 @@ class FloatingManipulatorTask:
         parts = {"arm": slice(3, None), "base": slice(0, 3)}  # of all commands
         self._parts, self._all_limits = {agent: parts[agent] for agent in self._sizes}, join_limits(scenario)
         self.action_spaces = {agent: Box(-1.0, 1.0, limit.shape, np.float32) for agent, limit in largest.items()}
-        joints, forces = [f"torque of {link}" for link in scenario.links], ("Fx", "Fy", "torque")
+        joints, forces = [f"torque of {link}" for link in scenario.links], ("force along x", "force along y", "torque")
         self.action_elements = {
             "arm": tuple(f"{name} [{limit:g} N m]" for name, limit in zip(joints, largest["arm"], strict=True))
         }
