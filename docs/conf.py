@@ -21,7 +21,7 @@ release = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["versi
 copyright = "the impact-envs developers"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 exclude_patterns = ["build", "pages", "generated/*.txt", "generated/static"]
-nitpicky = False
+highlight_language = "text"  # of blocks without a language: commands and formulas
 
 html_theme = "furo"
 html_title = "impact-envs"
@@ -42,7 +42,8 @@ nb_merge_streams = True
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
-autodoc_class_signature = "separated"
+autodoc_class_signature = "mixed"
+toc_object_entries_show_parents = "hide"
 napoleon_google_docstring = True
 napoleon_use_rtype = False
 

@@ -117,7 +117,8 @@ def describe_type(annotation: Any, metadata: list[Any] | tuple[Any, ...] = ()) -
         return " or ".join(f"`{_write(value)}`" for value in parts)
     if origin is dict:
         inner, _ = find_table(annotation)
-        return "tables by name" if inner is not None else f"{describe_type(parts[1])} by name"
+        tables = inner is not None or get_origin(parts[1]) is dict
+        return "tables by name" if tables else f"{describe_type(parts[1])} by name"
     if origin is tuple:
         if len(parts) == 2 and parts[1] is Ellipsis:
             return f"list, each {describe_type(parts[0])}"

@@ -15,7 +15,7 @@ def write_keys() -> str:
     shared = list(Scenario.model_fields)
     parts = ["## Keys of every scenario\n", _write_section(list_sections(Scenario)[0])]
     parts += [_write_section(section) for section in list_sections(Scenario)[1:]]
-    for domain in list_domains():
+    for domain in reversed(list_domains()):
         schema = find_part("impact_envs", domain, "SCHEMA")
         first, *rest = list_sections(schema)
         parts.append(f'## `domain = "{domain}"`\n\n{first.meaning}\n')
