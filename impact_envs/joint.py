@@ -13,6 +13,7 @@ from gymnasium.spaces import Box
 
 from impact_envs.agent_vectors import read_vector
 from impact_envs.env import parallel_env
+from impact_envs.reward import ROBUSTNESS
 from impact_envs.scenario import Scenario
 from impact_envs.stream import check_seed
 
@@ -25,17 +26,22 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Observation space: everything measured once (bodies in scenario order, contacts, time / horizon, robustness
     interval; see the task's ``observe_jointly``).
 
-    Rewards, starting state, episode end: as ImpactEnv; the reward is the sum over agents. ``max_cycles`` cuts an
+    Rewards, starting state, episode end: as ImpactEnv; the reward is the sum over agents, and
+    ``reward`` says which. ``max_cycles`` cuts an
     episode, and its last info has the verdict; Gymnasium's ``max_episode_steps`` cuts from outside, without one.
     """
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 30}
 
     def __init__(
-        self, scenario: str | Path | Scenario, render_mode: str | None = None, max_cycles: int | None = None
+        self,
+        scenario: str | Path | Scenario,
+        render_mode: str | None = None,
+        max_cycles: int | None = None,
+        reward: str = ROBUSTNESS,
     ) -> None:
         self._spec: EnvSpec | None = None
-        self.parallel = parallel_env(scenario, render_mode, max_cycles)
+        self.parallel = parallel_env(scenario, render_mode, max_cycles, reward)
         self.render_mode = render_mode
         sizes = [self.parallel.action_space(agent).shape[0] for agent in self.parallel.possible_agents]
         *starts, size = itertools.accumulate(sizes, initial=0)

@@ -17,8 +17,6 @@ from train.evaluation.case import EVALUATION_SEEDS, check_settings, has_expert, 
 from train.pictures.file import check_picture_path
 from train.settings import parse_settings
 
-LEAST_FRAMES = 200  # of a film, so that a short episode is seen slowly
-
 
 @dataclass
 class Command:
@@ -42,6 +40,8 @@ class Command:
     """Fly a plan that breaks the impact law or a limit by too much."""
     render: str | None = None
     """human, or a file ending in .mp4, .gif or .png (the last frame)."""
+    speed: float | None = None
+    """Of a film or window, in times real time; default: 3, less for a short episode."""
     plot: Path | None = None
     """Draw the whole episode: a file ending in .png, .pdf or .svg."""
     json: bool = False
@@ -62,16 +62,16 @@ class Command:
         plan = given.admit(self.force) if given else None
         policy = make_policy(self.policy, scenario, plan, case.options)
         record = self._make_record(scenario, policy)
-        env = parallel_env(scenario, render_mode="rgb_array" if film else self.render)
+        env = parallel_env(scenario, render_mode="rgb_array" if film else None)
         env.curves |= _sample_curves(policy)
-        spacing = min(0.1, scenario.horizon / LEAST_FRAMES)
-        every = scenario.steps if film and film.suffix == ".png" else max(1, round(spacing / scenario.control_period))
+        if film:
+            env.caption, env.speed = film.caption, film.speed
 
         def watch(shown: Any) -> None:
             if record:
                 record.add(shown)
-            if film and (shown.steps % every == 0 or not shown.agents):
-                film.add(shown.render())
+            if film:
+                film.add(shown)
 
         with film or nullcontext():
             episode = rollout(env, policy, self.seed, on_step=watch)
@@ -98,24 +98,24 @@ class Command:
             check_picture_path(self.plot)
             if find_part("train", scenario.domain, "PICTURE") is None:
                 raise InputError(f"--plot {self.plot}: domain '{scenario.domain}' draws no picture of an episode")
-        return _open_film(self.render)
+        return self._open_viewer(scenario)
+
+    def _open_viewer(self, scenario: Scenario) -> Any:
+        """Return what shows the episode, None where nobody asks for it."""
+        from train.pictures.film import Viewer
+
+        if self.render is None:
+            if self.speed is not None:
+                raise InputError(f"--speed {self.speed:g}: shows nothing without --render")
+            return None
+        caption = f"{scenario.name} · {Path(self.policy).name} · suite {self.suite} · seed {self.seed}"
+        return Viewer(self.render, scenario, self.speed, caption)
 
     def _make_record(self, scenario: Scenario, policy: Any) -> Any:
         """Return what watches the episode, None where nobody asks it."""
         make = find_part("train", scenario.domain, "RECORD")
         asked = self.plot or find_part("train", scenario.domain, "FIGURES")
         return make(scenario, policy) if make and asked else None
-
-
-def _open_film(render: str | None) -> Any:
-    """Return the film that --render asks for, None for a window or nothing."""
-    from impact_envs.render import SUFFIXES, Film
-
-    if render is None or render == "human":
-        return None
-    if Path(render).suffix.lower() not in SUFFIXES:
-        raise InputError(f"--render {render}: choices: human, a file ending in {', '.join(SUFFIXES)}")
-    return Film(render, fps=30)
 
 
 def _find_plan(policy: Any) -> Any:
