@@ -18,7 +18,7 @@ FENCE = re.compile(r"^(`{3,})([^\n]*)\n(.*?)^\1\s*$", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"(?<!`)`((?:impact|python) [^`]+)`(?!`)")
 COMMANDS = ("impact ", "python ", "make ", "pip ")
 # Options whose value says how long a run takes, and the value that shows the same in seconds.
-SHORTER = {"--episodes": "1", "--steps": "64", "--worlds": "64", "--time-limit": "20"}
+SHORTER = {"--episodes": "1", "--steps": "64", "--worlds": "64"}
 SMALLER = {"4096": "64", "num_envs=256": "num_envs=16"}
 
 
