@@ -21,7 +21,6 @@ release = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["versi
 copyright = "the impact-envs developers"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 exclude_patterns = ["build", "pages", "generated/*.txt", "generated/static"]
-suppress_warnings = ["toc.glob"]  # a pattern may stand for pages that are not there yet
 highlight_language = "text"  # of blocks without a language: commands and formulas
 
 html_theme = "furo"

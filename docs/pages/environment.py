@@ -168,25 +168,21 @@ def _write_start(env: ImpactEnv) -> str:
 
 def _write_arguments(name: str) -> str:
     spec = gymnasium.spec(gym_id(name))
-    said = _read_arguments(inspect.cleandoc(parallel_env.__doc__ or ""))
+    said = _read_arguments(parallel_env.__doc__) | _read_arguments(JointEnv.__doc__)
     rows = []
     for parameter in list(inspect.signature(JointEnv.__init__).parameters.values())[1:]:
         value: Any = spec.kwargs.get(parameter.name, parameter.default)
         rows.append([f"`{parameter.name}`", f"`{value!r}`", said[parameter.name]])
-    code = (
-        "import gymnasium\n\nimport impact_envs\n\n"
-        f'scenario = impact_envs.load_scenario("{name}").suite("all")\n'
-        f'env = gymnasium.make("{gym_id(name)}", scenario=scenario)'
-    )
+    code = f'import gymnasium\n\nimport impact_envs\n\nenv = gymnasium.make("{gym_id(name)}", suite="all")'
     return (
-        f"{make_table(('argument', 'default', 'meaning'), rows)}\n"
-        f"Another true world, other numbers, or a file of your own:\n\n{make_code(code, 'python')}"
+        f"{make_table(('argument', 'default', 'meaning'), rows)}\nIn another true world:\n\n{make_code(code, 'python')}"
     )
 
 
-def _read_arguments(docstring: str) -> dict[str, str]:
-    block = docstring.partition("Args:\n")[2].partition("\n\n")[0]
-    return {name: text.strip() for name, text in re.findall(r"^    (\w+): (.+(?:\n {8}.+)*)", block, re.MULTILINE)}
+def _read_arguments(docstring: str | None) -> dict[str, str]:
+    block = inspect.cleandoc(docstring or "").partition("Args:\n")[2].partition("\n\n")[0]
+    found = re.findall(r"^    (\w+): (.+(?:\n {8}.+)*)", block, re.MULTILINE)
+    return {name: " ".join(text.split()) for name, text in found}
 
 
 def list_suites(scenario: Scenario) -> dict[str, tuple[dict[str, Any], str]]:

@@ -1,7 +1,8 @@
 """Run the blocks of a Markdown page in order, as a reader would: ``python -m tests.docs.blocks PAGE``.
 
-Blocks of Python share one namespace; one with ``title=FILE`` is written to that file; commands of ``impact`` run in the
-same folder. Numbers that only make a run longer are made smaller.
+Blocks of Python share one namespace; one with ``title=FILE`` is written to that file; other words behind ``python``
+name packages without which a block is left out. Commands of ``impact`` run in the same folder. Numbers that only make a
+run longer are made smaller.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import re
 import shlex
 import sys
 import tomllib
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +19,8 @@ ROOT = Path(__file__).parents[2]
 FENCE = re.compile(r"^(`{3,})([^\n]*)\n(.*?)^\1\s*$", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"(?<!`)`((?:impact|python) [^`]+)`(?!`)")
 COMMANDS = ("impact ", "python ", "make ", "pip ")
+# Subcommands that wait for a person; how they are read is checked, and tests of their own run them.
+ATTENDED = ("play",)
 # Options whose value says how long a run takes, and the value that shows the same in seconds.
 SHORTER = {"--episodes": "1", "--steps": "64", "--worlds": "64"}
 SMALLER = {"4096": "64", "num_envs=256": "num_envs=16"}
@@ -88,6 +92,8 @@ def run_page(page: Path) -> None:
         title = re.search(r"title=(\S+)", block.options)
         if title:
             Path(title.group(1)).write_text(block.text, encoding="utf-8")
+        elif block.language == "python" and not all(map(find_spec, block.options.split())):
+            print(f"left out, for want of {block.options}", flush=True)
         elif block.language in ("python", "{code-cell}"):
             text = "\n".join(line for line in block.text.splitlines() if not line.startswith(":"))
             for long, short in SMALLER.items():
@@ -97,7 +103,7 @@ def run_page(page: Path) -> None:
             tomllib.loads(block.text)
         for command in read_commands(block):
             program, *words = split_command(command)
-            if program == "impact":
+            if program == "impact" and words[0] not in ATTENDED:
                 print(f"$ {command}", flush=True)
                 code = main(shorten(words))
                 assert code == 0, f"{command}: exit code {code}"

@@ -12,7 +12,16 @@ import pytest
 import tyro
 
 from impact_envs import list_scenarios, load_scenario
-from tests.docs.blocks import ROOT, list_commands, list_pages, read_blocks, shorten, split_command
+from tests.docs.blocks import (
+    ATTENDED,
+    ROOT,
+    list_commands,
+    list_pages,
+    read_blocks,
+    read_commands,
+    shorten,
+    split_command,
+)
 from train.cli.main import _parse
 
 PAGES = list_pages()
@@ -37,8 +46,6 @@ def find_runnable() -> list[Path]:
 
 
 def list_block_commands(page: Path) -> list[str]:
-    from tests.docs.blocks import read_commands
-
     return [command for block in read_blocks(page) for command in read_commands(block)]
 
 
@@ -52,7 +59,7 @@ def list_inline() -> list[str]:
 def is_whole(command: str) -> bool:
     """Return whether a command can be typed as it stands, but for SCENARIO: it is no name or part of one."""
     program, *words = split_command(command)
-    if program != "impact" or "--help" in words or len(words) < 2 or words[1].startswith("-"):
+    if program != "impact" or words[0] in ATTENDED or "--help" in words or len(words) < 2 or words[1].startswith("-"):
         return False
     return not any(re.fullmatch(r"[A-Z][A-Z.=|-]*|.*\.\.\..*|\|", word) for word in words)
 
