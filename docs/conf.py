@@ -25,7 +25,9 @@ highlight_language = "text"  # of blocks without a language: commands and formul
 
 html_theme = "furo"
 html_title = "impact-envs"
-html_static_path = ["generated/static"]
+html_static_path = ["style", "generated/static"]
+html_css_files = ["site.css"]
+smartquotes = False  # --option stays what it is
 html_math_renderer = "mathml"
 html_copy_source = False
 html_show_sphinx = False

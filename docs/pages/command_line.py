@@ -21,7 +21,8 @@ def write_commands() -> str:
         command = import_module(f"train.cli.{name}").Command
         rows = list_arguments(command)
         text = " ".join(inspect.cleandoc(command.__doc__ or "").split("\n\n")[0].split())
-        parts.append(f"## `impact {name}`\n\n{text}\n\n{make_table(('argument', 'default', 'meaning'), rows)}")
+        table = make_table(("argument", "default", "meaning"), rows) if rows else ""
+        parts.append(f"## `impact {name}`\n\n{text}\n\n{table}")
     return "\n".join(parts)
 
 
