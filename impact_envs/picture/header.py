@@ -74,7 +74,9 @@ def write_header(picture: pygame.Surface, frame: Frame, writer: Writer, step: fl
         _draw_badge(picture, color, place.inflate(16, 5))
         picture.blit(text, place)
         room -= place.w + 28
-    readout = writer.render(writer.fit("   ".join(words), "text", room), "text", drawing.MUTED, kept=False)
+    while len(words) > 1 and writer.font("text").size("   ".join(words))[0] > room:
+        words.pop()  # half a number would say something else
+    readout = writer.render("   ".join(words), "text", drawing.MUTED, kept=False)
     picture.blit(readout, readout.get_rect(midleft=(MARGIN, 46)))
     grid = writer.render(f"grid {step:g} m", "label", drawing.MUTED)
     picture.blit(grid, grid.get_rect(bottomright=(width - MARGIN, height - 5)))

@@ -81,12 +81,15 @@ def write_differences(differences: Iterable[Difference], looks: Mapping[str, Loo
 
 def _drop_trivial(differences: list[Difference]) -> tuple[list[Difference], str]:
     """Leave out comparisons with policies that do nothing sensible, where there are others; returns a note of it."""
-    telling = [d for d in differences if d.a not in BASELINES and d.b not in BASELINES]
-    if not telling or len(telling) == len(differences):
+    known = [len({d.a, d.b} & set(BASELINES)) for d in differences]
+    least = min(known, default=0)
+    telling = [d for d, count in zip(differences, known, strict=True) if count == least]
+    left_out = len(differences) - len(telling)
+    if not left_out:
         return differences, ""
-    count = len(differences) - len(telling)
+    what = "with" if least == 0 else "between"
     names = " and ".join(sorted({name for d in differences for name in (d.a, d.b)} & set(BASELINES)))
-    return telling, f'<p class="how">{count} comparisons with {names} are left out; summary.json has them.</p>'
+    return telling, f'<p class="how">{left_out} comparisons {what} {names} are left out; summary.json has them.</p>'
 
 
 def _table(name: str, heads: Iterable[tuple[str, str]], body: Iterable[str]) -> str:

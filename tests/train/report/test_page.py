@@ -471,12 +471,8 @@ def test_suites_are_defined_on_the_page():
     changes = {"true.friction": {"uniform": [0.0, 0.5]}, "horizon_scale": 0.6}
     cases = [
         JudgedCase(name="a", suite="nominal", changes={}, **base),
-        JudgedCase(
-            name="a", suite="hard", changes=changes, **base
-        ),
-        JudgedCase(
-            name="b", suite="hard", changes=changes, **base
-        ),
+        JudgedCase(name="a", suite="hard", changes=changes, **base),
+        JudgedCase(name="b", suite="hard", changes=changes, **base),
         JudgedCase(name="b", suite="old", **base),
     ]
     head, nominal, hard, old = _Reader(write_suites(cases)).rows["suites-table"]
