@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 export PYTHONUNBUFFERED := 1
 
-.PHONY: demo test test-slow format
+.PHONY: demo test test-slow format wheel
 
 demo: $(READY)
 	$(BIN)/impact demo
@@ -18,6 +18,10 @@ test: $(READY)
 
 test-slow: $(READY)
 	$(BIN)/pytest -n 2 -m slow
+
+# The same bytes from the same commit, wherever it is built.
+wheel: $(READY)
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/pip wheel --quiet --no-deps --wheel-dir dist .
 
 format: $(READY)
 	$(BIN)/ruff check --fix .

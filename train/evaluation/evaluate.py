@@ -140,6 +140,8 @@ def evaluate_cases(
         WorkerLost: an episode ended its worker process twice.
     """
     start = time.perf_counter()
+    if out is not None:
+        import pyarrow  # noqa: F401  # that it is missing must not be found out after everything was played
     labels = read_policies(policies)
     _check_request(cases, labels, episodes, seed, workers)
     jobs = [
