@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import tomllib
 from pathlib import Path
 
 DOCS = Path(__file__).parent
@@ -15,9 +14,10 @@ os.environ["PYTHONPATH"] = str(ROOT)  # of the kernels that run the tutorials
 from docs.pages.docstrings import register_docstrings  # noqa: E402
 from docs.pages.mathematics import register_mathematics  # noqa: E402
 from docs.pages.write import write_pages  # noqa: E402
+from impact_envs import __version__  # noqa: E402
 
 project = "impact-envs"
-release = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+release = __version__
 copyright = "the impact-envs developers"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 exclude_patterns = ["build", "pages", "generated/*.txt", "generated/static"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import Positional
 
@@ -15,6 +15,7 @@ from train.cli.progress import say_written
 class Command:
     """Write episodes as a Minari dataset, for learning from what an expert did."""
 
+    extras: ClassVar[tuple[str, ...]] = ("plan", "learn")
     scenario: Positional[str]
     """Shipped name or TOML file."""
     episodes: int = 100

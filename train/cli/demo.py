@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from rich.console import Console
 
@@ -24,6 +24,7 @@ POLICY = "corridor_hard"
 class Command:
     """Do the main job in small: plan, evaluate expert and learned policy, write the report."""
 
+    extras: ClassVar[tuple[str, ...]] = ("all",)
     episodes: int = 20
     """Episodes per scenario, suite and policy."""
     out: Path = Path("report")

@@ -6,7 +6,7 @@ import shlex
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional
 
@@ -21,6 +21,7 @@ from train.settings import parse_settings
 class Command:
     """Judge policies on the same seeds."""
 
+    extras: ClassVar[tuple[str, ...]] = ("plan", "report")
     scenarios: Positional[tuple[str, ...]]
     """Shipped names or TOML files."""
     policies: tuple[str, ...] = ("expert", "zero")

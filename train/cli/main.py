@@ -18,12 +18,13 @@ import time
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import tyro
 
 import impact_envs
 from impact_envs.errors import InputError, choices
+from impact_envs.extras import describe_missing
 from planners.errors import PlanningError
 from train.cli.progress import show_planning
 from train.evaluation.errors import Diverged, WorkerLost
@@ -34,8 +35,13 @@ DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 class Command(Protocol):
-    """The arguments of a subcommand, in the file of its name."""
+    """The arguments of a subcommand, in the file of its name.
 
+    Attributes:
+        extras: of the distribution that it needs.
+    """
+
+    extras: ClassVar[tuple[str, ...]]
     json: bool
 
     def run(self) -> dict[str, Any]:
@@ -69,6 +75,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (PlanningError, WorkerLost, Diverged) as error:
         print(f"impact: {error}", file=sys.stderr)
         return 1
+    except ModuleNotFoundError as error:
+        missing = describe_missing(error, command.extras)
+        if missing is None:
+            raise
+        print(f"impact: {missing}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("impact: interrupted; what was finished is kept", file=sys.stderr)
         return 130

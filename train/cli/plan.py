@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 from tyro.conf import Positional
 
@@ -28,6 +28,7 @@ class Command:
     The experts of the other domains, floating_manipulator and dual_arm, follow no plan.
     """
 
+    extras: ClassVar[tuple[str, ...]] = ("plan",)
     scenario: Positional[str]
     """Shipped name or TOML file."""
     objective: Literal["robustness", "impact_uncertainty"] = "robustness"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import Positional
 
@@ -15,6 +15,7 @@ from train.cli.progress import say_written
 class Command:
     """Write one self-contained HTML page from an evaluation."""
 
+    extras: ClassVar[tuple[str, ...]] = ("report",)
     folder: Positional[Path]
     """Folder that impact evaluate --out wrote."""
     json: bool = False

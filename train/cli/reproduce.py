@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import Positional
 
@@ -24,6 +24,7 @@ from train.papers.paper import Paper, Play, load_paper
 class Command:
     """Put a paper's published numbers beside those computed here, and draw its figures."""
 
+    extras: ClassVar[tuple[str, ...]] = ("plan", "report")
     paper: Positional[str]
     """verhagen, nekoo, van_steen, or the domain's name."""
     figure: Positional[str | None] = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import OmitArgPrefixes
 
@@ -15,6 +15,7 @@ from train.cli.progress import say_written
 class Command:
     """Train a residual on top of the expert."""
 
+    extras: ClassVar[tuple[str, ...]] = ("plan", "learn")
     args: OmitArgPrefixes[Args] = field(default_factory=Args)
     json: bool = False
 
