@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -49,6 +49,7 @@ class Task(Protocol):
 
     scenario: Any
     action_spaces: Mapping[str, Box]
+    action_elements: Mapping[str, Sequence[str]]  # of each agent, with what an element of 1 is: "torque [0.5 N m]"
     observation_spaces: Mapping[str, Box]
     joint_observation_space: Box
     layouts: Mapping[str, Layout]

@@ -26,10 +26,12 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Observation space: everything measured once (bodies in scenario order, contacts, time / horizon, robustness
     interval; see the task's ``observe_jointly``).
 
-    Rewards, starting state, episode end: as ImpactEnv; the reward is the sum over agents, and
-    ``reward`` says which. ``max_cycles`` cuts an
+    Rewards, starting state, episode end: as ImpactEnv; the reward is the sum over agents. ``max_cycles`` cuts an
     episode, and its last info has the verdict; Gymnasium's ``max_episode_steps`` cuts from outside, without one.
-    ``suite`` names the mismatch suite of the true world.
+
+    Args:
+        scenario, render_mode, max_cycles, reward: see `parallel_env`.
+        suite: mismatch suite of the true world; what is believed stays.
     """
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 30}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -86,6 +87,13 @@ def check_names(kind: str, names: Sequence[str]) -> None:
     for place, name in enumerate(names):
         if name in names[:place]:
             raise InputError(f"{kind} '{name}' is given twice; {choices('', sorted(set(names)))}")
+
+
+def list_changes(scenario: Scenario, suite: str) -> dict[str, Any]:
+    """Return what a suite changes: dotted keys of the scenario to values or ranges."""
+    shipped = tomllib.loads(scenario.suite_file.read_text()) if scenario.suite_file else {}
+    changes: dict[str, Any] = {**shipped, **scenario.suites}.get(suite, {})
+    return changes
 
 
 def has_expert(policy: str) -> bool:

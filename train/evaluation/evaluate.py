@@ -30,6 +30,7 @@ from train.evaluation.case import (
     check_settings,
     has_expert,
     is_built_in,
+    list_changes,
     make_cases,
 )
 from train.evaluation.folder_lock import lock_folder
@@ -247,7 +248,11 @@ def _digests(cases: Sequence[Case], labels: Sequence[str]) -> dict[str, str]:
 def _describe(cases: Sequence[Case], labels: Sequence[str], episodes: int, seed: int) -> dict[str, Any]:
     fields = ("name", "domain", "description", "formula", "horizon")
     return {
-        "cases": [{key: getattr(case.scenario, key) for key in fields} | {"suite": case.suite} for case in cases],
+        "cases": [
+            {key: getattr(case.scenario, key) for key in fields}
+            | {"suite": case.suite, "changes": list_changes(case.scenario, case.suite)}
+            for case in cases
+        ],
         "policies": list(labels),
         "episodes": episodes,
         "seed": seed,
