@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from train.cli.printing import show
 
         show(result)
-    return 0
+    return int(result.get("accepted") is False)  # a plan that was checked
 
 
 def _parse(arguments: list[str]) -> Command:
