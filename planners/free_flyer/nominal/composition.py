@@ -16,7 +16,7 @@ import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import And
-from planners.errors import Infeasible, PlanningError
+from planners.errors import PlanningError, SolverFailed
 from planners.free_flyer.nominal.clearance_rows import add_clearance_rows, solve_apart
 from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import ANYBODY, Word
@@ -52,6 +52,7 @@ class _Done:
 def compose_objects(
     task: NominalTask,
     numbers: Mapping[str, int],
+    max_impacts: int,
     pieces: int,
     rho: tuple[float, float],
     find_time_left: Callable[[], float],
@@ -65,6 +66,7 @@ def compose_objects(
     Args:
         task: what is asked; its objects start and end at rest.
         numbers: object to the impacts that it needs alone; objects of which nothing is asked are left out.
+        max_impacts: greatest number of impacts of all objects together.
         pieces: per leg.
         rho: robustness to keep, and its bound [m].
         find_time_left: returns the time left [s].
@@ -76,7 +78,9 @@ def compose_objects(
         try:
             done = _Done((), np.zeros(0), {name: np.zeros((0, 2)) for name in task.scenario.bodies})
             for place, name in enumerate(order):
-                done = _append(task, done, order[: place + 1], numbers[name], pieces, rho[0], find_time_left, options)
+                later = sum(numbers[other] for other in order[place + 1 :])
+                allowed = range(numbers[name], max_impacts - len(done.word) - later + 1)
+                done = _append(task, done, order[: place + 1], allowed, pieces, rho[0], find_time_left, options)
         except PlanningError:
             if find_time_left() <= 0.0:
                 return None
@@ -107,7 +111,7 @@ def _append(
     task: NominalTask,
     done: _Done,
     objects: Sequence[str],
-    fewest: int,
+    allowed: range,
     pieces: int,
     rho: float,
     find_time_left: Callable[[], float],
@@ -115,12 +119,19 @@ def _append(
 ) -> _Done:
     """Return what is done with the impacts of one more object, the last of `objects`, as early as may be.
 
+    Args:
+        task, pieces, find_time_left, options: as for `compose_objects`.
+        done: what is done of the other objects.
+        objects: these and this one.
+        allowed: numbers of impacts, of which the first few are tried.
+        rho: robustness to keep [m].
+
     Raises:
         PlanningError: no such impacts were found.
     """
-    failure: PlanningError = Infeasible("composition", "no time is left", "raise the time limit")
+    failure: PlanningError = SolverFailed("composition", "no time or number of impacts is left", "raise the limits")
     demands = _restrict_demands(task, objects)
-    for impacts in range(fewest, fewest + options.compose.more_impacts + 1):
+    for impacts in allowed[: options.compose.more_impacts + 1]:
         limit = find_time_left()
         if limit <= 0.0:
             break

@@ -176,7 +176,7 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
     numbers = {name: optimum.size.impacts for name, (_, optimum) in alone.items()}
     large = options.thorough and is_large(task, numbers, pieces, options)
     if large:
-        composed = _compose(task, numbers, pieces, (rho, ceiling), budget, options)
+        composed = _compose(task, numbers, max_impacts, pieces, (rho, ceiling), budget, options)
         if composed is not None:
             return composed
     hits: list[tuple[float, Hitter]] = []
@@ -185,7 +185,7 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
         if events is None or options.thorough:
             # Where this takes long, its events are as good a start as any.
             limit = budget.left if events is None or not options.thorough else budget.left / 8
-            with suppress(SolverFailed) if events is not None else nullcontext():
+            with suppress(PlanningError) if events is not None and options.thorough else nullcontext():
                 events = minimise_path_cost(own, optimum.size, optimum.rho, options.cost, limit)
         assert events is not None
         hits += zip(events.sequence.times[1:-1], events.sequence.hitters, strict=True)
@@ -200,7 +200,7 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
         if found.words:
             return RobustnessOptimum(size, rho, ceiling, found.words, found.bound)
     if options.thorough:
-        composed = None if large else _compose(task, numbers, pieces, (rho, ceiling), budget, options)
+        composed = None if large else _compose(task, numbers, max_impacts, pieces, (rho, ceiling), budget, options)
         if composed is not None:
             return composed
         longer = _find_longer(task, max_impacts, (rho, ceiling), max(pieces, MANY), seed, budget, options)
@@ -218,6 +218,7 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
 def _compose(
     task: NominalTask,
     numbers: Mapping[str, int],
+    max_impacts: int,
     pieces: int,
     rho: tuple[float, float],
     budget: Budget,
@@ -226,7 +227,7 @@ def _compose(
     """Return the optimum of objects one after another, as robust as may be; None: none was found.
 
     Args:
-        task, budget, options: as for `maximise_jointly`.
+        task, max_impacts, budget, options: as for `maximise_jointly`.
         numbers: object to the impacts that it needs alone.
         pieces: per leg.
         rho: least robustness that the objects attain alone, and its bound [m].
@@ -235,7 +236,7 @@ def _compose(
     for left, share in zip(range(len(shares), 0, -1), shares, strict=True):
         part = Budget((end - budget.elapsed) / left)
         kept = max(options.least, share * rho[0]), rho[1]
-        found = compose_objects(task, numbers, pieces, kept, lambda part=part: part.left, options)  # type: ignore[misc]
+        found = compose_objects(task, numbers, max_impacts, pieces, kept, lambda part=part: part.left, options)  # type: ignore[misc]
         if found is not None:
             return RobustnessOptimum(GridSize(len(found.grid.hits), pieces), found.rho, rho[1], found=found)
     return None
