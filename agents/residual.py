@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -61,7 +62,7 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Where two corrections are due in the same control step, the step from the first to the second takes no time.
 
     Action space: ``Box(-1, 1, (correction_size,))``; zero is the expert, bit for bit. Each expert says what a
-    correction changes; a free-flyer's scales and turns the impulse of the coming impact.
+    correction changes; a free-flyer's scales and turns the impulse of the coming impact, and shifts its time.
 
     Observation space: the expert's features, float64, SI units, computed from measurements and beliefs only.
 
@@ -75,9 +76,9 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Episode end: ``truncated`` at the scenario's horizon, or where ``max_cycles`` cuts earlier; ``terminated`` where the
     simulation fails (see ImpactEnv).
 
-    ``info`` carries ``seed`` and ``control_steps`` (in this step); at the end also ``robustness``, ``success`` and
-    ``decided``: the horizon is reached or the simulation failed (then with ``failure``, a text), and a learner has
-    nothing to bootstrap.
+    ``info`` carries ``seed``, ``control_steps`` (in this step) and ``is_success`` (see ImpactEnv); at the end also
+    ``robustness``, ``success`` and ``decided``: the horizon is reached or the simulation failed (then with
+    ``failure``, a text), and a learner has nothing to bootstrap.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario.
@@ -129,9 +130,10 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         seed = None if seed is None else check_seed(seed)
         super().reset(seed=seed)
         episode = int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed
-        observations, _ = self.parallel.reset(seed=episode)
+        observations, infos = self.parallel.reset(seed=episode)
         self.expert.reset(episode)
         self._reward, self._steps, self._infos, self._ended = 0.0, 0, {"seed": episode}, False
+        self._infos["is_success"] = next(iter(infos.values()))["is_success"]
         self.expert.observe(observations)
         if not self.expert.awaiting_correction:
             self._run_to_request()
@@ -180,6 +182,7 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             observations, rewards, _, _, infos = self.parallel.step(self.expert.control())
             self._reward += float(sum(rewards.values()))
             self._steps += 1
+            self._infos["is_success"] = next(iter(infos.values()))["is_success"]
             failed = self.parallel.failure is not None
             decided = failed or self.parallel.steps >= self.parallel.scenario.steps
             if not decided:
@@ -229,27 +232,33 @@ class ResidualPolicy:
             options: of the expert, see planners.make_expert.
 
         Raises:
-            InputError: the checkpoint is broken, or does not fit this scenario's expert.
+            InputError: the checkpoint is broken, or does not fit this scenario's expert. A policy of another expert or
+                plan that fits is loaded with a warning.
             PlanningError: the expert found no plan.
         """
         # Imported here: residual environments need no torch.
         from agents.actor import load_policy
+        from agents.source import find_difference
 
         actor, record = load_policy(directory)
         loaded = load_scenario(scenario)
+        names = ", ".join(sorted({source.scenario for source in record.sources}))
         if record.domain != loaded.domain:
             raise InputError(
                 f"checkpoint '{directory}' is for domain '{record.domain}', "
                 f"scenario '{loaded.name}' has domain '{loaded.domain}'"
             )
-        expert: CorrectableExpert = make_expert(loaded, plan, options=options)
+        expert: CorrectableExpert = make_expert(loaded, plan, record.variant, options)
         for key in ("feature_size", "correction_size"):
             trained, offered = getattr(record, key), getattr(expert, key)
             if trained != offered:
                 raise InputError(
-                    f"checkpoint '{directory}' was trained on '{record.scenario}' with {key} {trained}; "
+                    f"checkpoint '{directory}' was trained on {names} with {key} {trained}; "
                     f"the expert of '{loaded.name}' has {key} {offered}"
                 )
+        difference = find_difference(record.sources, loaded, getattr(expert, "plan", None))
+        if difference is not None:
+            warnings.warn(f"checkpoint '{directory}': {difference}", stacklevel=2)
         return cls(expert, actor.correction, name=str(directory))
 
     def reset(self, seed: int) -> None:

@@ -25,6 +25,8 @@ from impact_envs.vector_reset import make_seeds, read_mask
 from planners import make_expert_batch
 from planners.plan import Plan
 
+ALWAYS = ("seed", "control_steps", "is_success")  # infos that are there at every call
+
 
 class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """ResidualEnv many times over: one step is one decision of every world, however long each takes (semi-Markov).
@@ -34,9 +36,9 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     Action space, observation space, rewards, starting state, episode end: as ResidualEnv, of each world.
 
-    ``infos`` carries ``seed`` and ``control_steps`` (in this step) of every world; where an episode ended also
-    ``robustness``, ``success``, ``decided`` (a learner has nothing to bootstrap) and, where a simulation failed,
-    ``failure``, each with its mask; with autoreset in the same step ``final_obs`` and ``final_info``. Ctrl-C is
+    ``infos`` carries ``seed``, ``control_steps`` (in this step) and ``is_success`` of every world; where an episode
+    ended also ``robustness``, ``success``, ``decided`` (a learner has nothing to bootstrap) and, where a simulation
+    failed, ``failure``, each with its mask; with autoreset in the same step ``final_obs`` and ``final_info``. Ctrl-C is
     answered within a second; then reset all worlds.
 
     Args:
@@ -50,6 +52,7 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         threads: that share the worlds; all cores if not given.
         render_mode: None; these worlds are not drawn.
         max_episode_steps: what ``gymnasium.make_vec`` calls ``max_cycles``, in control periods, too.
+        variant: of the experts, see planners.list_variants.
 
     Raises:
         ScenarioError: the scenario or the suite is unknown.
@@ -69,6 +72,7 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         threads: int | None = None,
         render_mode: None = None,
         max_episode_steps: int | None = None,
+        variant: str | None = None,
     ) -> None:
         if render_mode is not None:
             raise InputError(
@@ -99,7 +103,7 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.autoreset_mode}
         threads = threads or len(os.sched_getaffinity(0))
-        self.experts = make_expert_batch(loaded, num_envs, plan, options=options, threads=threads)
+        self.experts = make_expert_batch(loaded, num_envs, plan, variant, options, threads)
         make_batch = find_part("impact_envs", loaded.domain, "BATCH")
         self.batch = make_batch(loaded, num_envs, max_cycles, threads=self.experts.threads)
         self.decisions = Decisions(self.batch, self.experts, make_loop)
@@ -199,7 +203,7 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self, over: np.ndarray, features: np.ndarray, infos: dict[str, Any]
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start the next episode where one is over; return features and infos of its start, and of the end."""
-        ends = {name: infos[name] for name in infos if name not in ("seed", "_seed", "control_steps", "_control_steps")}
+        ends = {name: infos[name] for name in infos if name.removeprefix("_") not in ALWAYS}
         final = {"final_obs": features.copy(), "final_info": infos}
         self._draw_seeds(over)
         self._start(over)
@@ -221,6 +225,7 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         everywhere = np.ones(self.num_envs, bool)
         infos: dict[str, Any] = {"seed": self._seeds.copy(), "_seed": everywhere}
         infos |= {"control_steps": self.decisions.steps.copy(), "_control_steps": everywhere.copy()}
+        infos |= {"is_success": self.decisions.judge()[1], "_is_success": everywhere.copy()}
         if over is None or not over.any():
             return infos
         robustness, success = self.decisions.judge()

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 from agents.compiled_vec_env import CompiledVecEnv
 from agents.residual_vector import ResidualVectorEnv
+from impact_envs.reward import ROBUSTNESS
 from impact_envs.scenario import Scenario
 from impact_envs.vector import vector_env
 from planners.plan import Plan
@@ -36,6 +37,7 @@ class ImpactVecEnv(CompiledVecEnv):
         max_cycles: truncate earlier than the horizon [control periods].
         dtype: of observations and of what the worlds store.
         threads: number that share the worlds; default: all cores.
+        reward: ``robustness`` (learn with gamma 1) or, for free-flyers, ``progress`` (.999); see ImpactEnv.
 
     Raises:
         ScenarioError: the scenario cannot be read.
@@ -50,6 +52,7 @@ class ImpactVecEnv(CompiledVecEnv):
         max_cycles: int | None = None,
         dtype: Literal["float64", "float32"] = "float32",
         threads: int | None = None,
+        reward: str = ROBUSTNESS,
     ) -> None:
         worlds = vector_env(
             scenario,
@@ -59,6 +62,7 @@ class ImpactVecEnv(CompiledVecEnv):
             dtype=dtype,
             threads=threads,
             per_robot=per_robot,
+            reward=reward,
         )
         self.per_robot, batch = per_robot, worlds.batch
         if per_robot:

@@ -9,14 +9,16 @@ from typing import Any, Protocol
 import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.utils import seeding
-from pettingzoo import ParallelEnv
+from pettingzoo import AECEnv, ParallelEnv
+from pettingzoo.utils.conversions import parallel_to_aec
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError, ResetNeeded, check_count, choices
 from impact_envs.failure import NotFinite, SimulationFailed, TooManyEvents, check_finite
+from impact_envs.flight import Forecast
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact, LastingContact
-from impact_envs.reward import compute_reward, compute_team_reward
+from impact_envs.reward import ROBUSTNESS, compute_progress_reward, compute_reward, compute_team_reward, find_rates
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.shape import Shape
 from impact_envs.state import add_secrets, join_states, make_state_layout
@@ -99,9 +101,13 @@ class ImpactEnv(ParallelEnv):
     Observation space: per agent a fresh float64 vector of measurements in SI units; ``task.layouts[agent]`` says what
     stands where (``print(env.task.layouts[agent].describe())``).
 
-    Rewards: the team's part, shared equally, is the change of the middle of the interval of robustness still
-    possible (the online monitor's bounds, clipped to the world's diagonal), plus the robustness reached at the end;
-    each agent pays for its effort (see `reward.py` and the task). The sum over agents is what JointEnv returns.
+    Rewards: the team's part, shared equally, is the change of a potential, plus the robustness reached at the end;
+    each agent pays for its effort (see `reward.py` and the task). The sum over agents is what JointEnv returns. With
+    ``reward="robustness"`` the potential is the middle of the interval of robustness still possible (the online
+    monitor's bounds, clipped to the world's diagonal): learn with gamma 1, because hardly anything comes before the
+    end. With ``reward="progress"`` it is the robustness that would be reached if every body flew on as it moves now,
+    walls apart through whatever is there (`flight.py`), clipped likewise, and looked at after impacts, once a second
+    and at the end: a throw is rewarded when it is thrown; learn with gamma .999. Free-flyers alone have it.
 
     Starting state: as the scenario says; the true physics are drawn from the reset seed.
 
@@ -109,7 +115,8 @@ class ImpactEnv(ParallelEnv):
     simulation fails: a state is not finite, or impacts do not end within a control period. The observation is then the
     last sample, the robustness minus the world's diagonal, and ``failure`` of the infos says what happened.
 
-    ``infos[agent]`` carries ``overflow`` (1 where impacts did not end within the control period),
+    ``infos[agent]`` carries ``overflow`` (1 where impacts did not end within the control period), ``is_success``
+    (whether the formula holds for certain by now, whatever follows; at the end ``success``),
     ``robustness_lower``, ``robustness_upper``, both clipped to the world's diagonal; at the end
     also ``robustness``, not clipped, and ``success`` of the whole formula on the true signals. ``success`` is whether
     the formula holds: robustness above zero, or exactly zero where its predicates hold at equality (``in``, ``<=``,
@@ -118,7 +125,8 @@ class ImpactEnv(ParallelEnv):
     nothing to bootstrap: the horizon is reached, or the simulation failed.
 
     Raises:
-        InputError: ``max_cycles`` is no whole number from 1, or ``render_mode`` is unknown.
+        InputError: ``max_cycles`` is no whole number from 1, ``render_mode`` or ``reward`` is unknown, or bodies do
+            not fly freely in this domain.
     """
 
     metadata: dict[str, Any] = {
@@ -128,7 +136,14 @@ class ImpactEnv(ParallelEnv):
         "is_parallelizable": True,
     }
 
-    def __init__(self, model: Model, task: Task, render_mode: str | None = None, max_cycles: int | None = None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        task: Task,
+        render_mode: str | None = None,
+        max_cycles: int | None = None,
+        reward: str = ROBUSTNESS,
+    ) -> None:
         if render_mode is not None and render_mode not in (known := self.metadata["render_modes"]):
             raise InputError(f"render_mode '{render_mode}' is unknown; {choices(render_mode, known)}")
         self.model, self.task, self.render_mode = model, task, render_mode
@@ -147,16 +162,24 @@ class ImpactEnv(ParallelEnv):
             self.scenario.bodies,
             task.signal_bounds(),
         )
+        rates, areas = find_rates(reward, self.scenario.domain), self.scenario.areas
+        self.reward, self._forecast = reward, None
+        if rates is not None:
+            self._forecast = Forecast(self.monitor, areas, self.scenario.bodies, rates, task.signal_bounds())
+        self._potential = 0.0  # of reward "progress" [m]
         self.curves: dict[str, np.ndarray] = {}  # polylines to draw under the bodies, for example a plan
         self.impacts: list[Impact] = []  # of the last control period
         self.lasting_contacts: list[LastingContact] = []  # of the last control period; free-flyers alone have them
         self.impulse = 0.0  # propulsion spent since reset
         self.failure: SimulationFailed | None = None  # that ended the episode
+        self.infos: dict[str, Any] = {}  # what every agent was told last
         self._rng: np.random.Generator | None = None
         self._renderer: Any = None
+        self.caption = ""  # over pictures; the scenario's name where nobody says more
+        self.speed: float | None = None  # time shown in one second of a film, written into its pictures
         self._trailed: list[str] = []  # bodies whose path is drawn
-        self._track: list[dict[str, tuple[float, float, float]]] = []  # poses of every step, kept for rendering
-        self._marks: list[Impact] = []
+        self._track = np.zeros((0, 0, 3))  # poses of every step, kept for rendering
+        self._marks: list[tuple[Impact, list[tuple[float, float, float, float]]]] = []
 
     def observation_space(self, agent: str) -> Box:
         """Return the agent's observation space, the same object at every call."""
@@ -203,9 +226,12 @@ class ImpactEnv(ParallelEnv):
         self.signals = self.task.signals(self._states)
         self.monitor.reset()
         self.bounds = self._watch()
-        self._track, self._marks = [], []
+        self._potential = self._predict()
+        self._marks = []
         self._remember()
-        return self.task.observe(0.0, self.bounds), self._infos()
+        infos = self._infos()
+        self.infos = next(iter(infos.values()))
+        return self.task.observe(0.0, self.bounds), infos
 
     def step(
         self, actions: Mapping[str, np.ndarray]
@@ -232,7 +258,7 @@ class ImpactEnv(ParallelEnv):
             self._check_started("step")
             raise ResetNeeded("step after the end of the episode: call reset first")
         controls = self.task.controls(actions)
-        before = self.bounds
+        before, signals, potential = self.bounds, self.signals, self._potential
         self._advance(controls)
         self.steps += 1
         self.impulse += self.task.impulse(controls)
@@ -242,12 +268,19 @@ class ImpactEnv(ParallelEnv):
             self.bounds = self._watch()
         else:
             self.bounds = (-self._limit, -self._limit)
-        self._remember()
+        self._remember(signals)
         failed = self.failure is not None
         over = failed or self.steps >= min(self.max_cycles, self._last)
-        agents, team = self.agents, compute_team_reward(before, self.bounds, over)
+        agents = self.agents
+        if self._forecast is None:
+            team = compute_team_reward(before, self.bounds, over)
+        else:
+            if over or self.impacts or self.steps % self._forecast.every == 0:
+                self._potential = self._predict()
+            team = compute_progress_reward(potential, self._potential, self.bounds[0], over)
         rewards = {agent: compute_reward(team, len(agents), self.task.effort(actions[agent])) for agent in agents}
         observations, infos = self.task.observe(self.time, self.bounds), self._infos(over)
+        self.infos = infos[agents[0]]
         if over:
             self.agents = []
         if self.render_mode == "human":
@@ -290,24 +323,50 @@ class ImpactEnv(ParallelEnv):
         self._check_started("render")
         if self.render_mode is None:
             return None
-        from impact_envs.render import Frame, Renderer
-
-        world = self.scenario.world
         if self._renderer is None:
+            self._renderer = self.make_renderer(self.render_mode)
+        return self._renderer.draw(self.make_frame(), last=not self.agents)
+
+    def make_renderer(self, mode: str, **options: Any) -> Any:
+        """Return what draws this world's frames.
+
+        Args:
+            mode: ``human`` or ``rgb_array``.
+            options: of `impact_envs.render.Renderer`, for example speed.
+        """
+        from impact_envs.picture.view import ARROW_SHARE, find_view
+        from impact_envs.render import Renderer
+
+        arrow = ARROW_SHARE * self.scenario.horizon
+        return Renderer(*find_view(self.scenario), self.task.shapes(), mode, arrow=arrow, **options)
+
+    def make_frame(self) -> Any:
+        """Return what is to be drawn of the present step; paths and impacts only with a ``render_mode``.
+
+        Raises:
+            ResetNeeded: before the first reset.
+        """
+        from impact_envs.picture.unit import find_unit
+        from impact_envs.render import Frame, Mark
+
+        self._check_started("make_frame")
+        bodies = self.scenario.bodies
+        if not self._trailed:
             shapes = self.task.shapes()
-            self._renderer = Renderer(world.lower, world.upper, shapes, self.render_mode)
             self._trailed = [shape.body for shape in shapes if shape.body is not None and shape.label]
-        frame = Frame(
+        past = self._track[: self.steps + 1]
+        return Frame(
             time=self.time,
-            poses=self._track[-1],
+            poses=dict(zip(bodies, self._list_poses(), strict=True)),
             chains=self.task.chains(self._states),
-            trails={body: np.array([step[body][:2] for step in self._track]) for body in self._trailed},
+            trails={body: past[:, bodies.index(body), :2] for body in self._trailed} if len(past) else {},
             plans=self.curves,
-            impacts=[(*mark.point, self.time - mark.time) for mark in self._marks],
+            impacts=[Mark(*mark.point, self.time - mark.time, changes) for mark, changes in self._marks],
             robustness=self.bounds,
-            caption=self.scenario.name,
+            unit=find_unit(self.scenario.specification),
+            caption=self.caption or self.scenario.name,
+            speed=self.speed,
         )
-        return self._renderer.draw(frame)
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -354,23 +413,51 @@ class ImpactEnv(ParallelEnv):
             return error
         raise error
 
-    def _remember(self) -> None:
-        if self.render_mode is not None:
-            s = self.signals
-            bodies = self.scenario.bodies
-            self._track.append({b: (s[f"{b}.x"], s[f"{b}.y"], s[f"{b}.heading"]) for b in bodies})
-            self._marks += self.impacts
+    def _list_poses(self) -> list[tuple[float, float, float]]:
+        s = self.signals
+        return [(s[f"{body}.x"], s[f"{body}.y"], s[f"{body}.heading"]) for body in self.scenario.bodies]
+
+    def _remember(self, before: Mapping[str, float] | None = None) -> None:
+        """Keep what pictures show of the past.
+
+        Args:
+            before: signals of the step before; a body's change of velocity in an impact is that of the whole step.
+        """
+        if self.render_mode is None:
+            return
+        if before is None:
+            self._track = np.empty((self._last + 1, len(self.scenario.bodies), 3))
+        self._track[self.steps] = self._list_poses()
+        s, bodies = self.signals, self.scenario.bodies
+        before = before or s
+        for impact in self.impacts:
+            changes = []
+            for body in (impact.a, impact.b):
+                if body in bodies:
+                    x, y, vx, vy = (f"{body}.{name}" for name in ("x", "y", "vx", "vy"))
+                    changes.append((before[x], before[y], s[vx] - before[vx], s[vy] - before[vy]))
+            self._marks.append((impact, changes))
 
     def _watch(self) -> tuple[float, float]:
         """Take the formula's sample; return the interval of robustness still possible, clipped."""
         low, high = self.monitor.update(self.signals)
         return max(-self._limit, min(self._limit, low)), max(-self._limit, min(self._limit, high))
 
+    def _predict(self) -> float:
+        """Return the potential of reward "progress"; 0 for the other one."""
+        if self._forecast is None:
+            return 0.0
+        if self.failure is not None:
+            return -self._limit
+        found = self._forecast.predict(self.monitor, self.signals, self.steps)
+        return max(-self._limit, min(self._limit, found))
+
     def _infos(self, over: bool = False) -> dict[str, dict[str, Any]]:
         info: dict[str, Any] = {"robustness_lower": self.bounds[0], "robustness_upper": self.bounds[1]}
         info["overflow"] = int(isinstance(self.failure, TooManyEvents))
+        robustness, success = judge(compute_outcome(*self.monitor.ends, self._limit))
+        info["is_success"] = bool(success) and self.failure is None
         if over:
-            robustness, success = judge(compute_outcome(*self.monitor.ends, self._limit))
             decided = self.failure is not None or self.steps >= self._last
             info |= {"robustness": robustness, "success": success, "decided": decided}
         if self.failure is not None:
@@ -378,8 +465,22 @@ class ImpactEnv(ParallelEnv):
         return {agent: dict(info) for agent in self.agents}
 
 
-def parallel_env(
+def aec_env(
     scenario: str | Path | Scenario, render_mode: str | None = None, max_cycles: int | None = None
+) -> AECEnv[str, np.ndarray, np.ndarray]:
+    """Make the environment of a scenario in PettingZoo's other interface, in which agents act one after another.
+
+    Args:
+        scenario, render_mode, max_cycles: as parallel_env.
+    """
+    return parallel_to_aec(parallel_env(scenario, render_mode, max_cycles))
+
+
+def parallel_env(
+    scenario: str | Path | Scenario,
+    render_mode: str | None = None,
+    max_cycles: int | None = None,
+    reward: str = ROBUSTNESS,
 ) -> ImpactEnv:
     """Make the environment of a scenario.
 
@@ -387,14 +488,15 @@ def parallel_env(
         scenario: a shipped name, the path of a TOML file, or a Scenario.
         render_mode: None, ``human`` or ``rgb_array``.
         max_cycles: truncate earlier than the horizon [control periods].
+        reward: ``robustness`` or, for free-flyers, ``progress``; see ImpactEnv.
 
     Returns:
         A PettingZoo ParallelEnv.
 
     Raises:
         ScenarioError: the scenario cannot be read.
-        InputError: ``max_cycles`` is no whole number from 1, or ``render_mode`` is unknown.
+        InputError: ``max_cycles`` is no whole number from 1, or ``render_mode`` or ``reward`` is unknown.
     """
     loaded = load_scenario(scenario)
     make_model, make_task = (find_part("impact_envs", loaded.domain, name) for name in ("MODEL", "TASK"))
-    return ImpactEnv(make_model(loaded), make_task(loaded), render_mode, max_cycles)
+    return ImpactEnv(make_model(loaded), make_task(loaded), render_mode, max_cycles, reward)

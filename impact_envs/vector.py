@@ -17,6 +17,7 @@ from impact_envs.agent_vectors import REAL
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError, ResetNeeded, check_count, choices
 from impact_envs.observation import Layout
+from impact_envs.reward import PROGRESS, ROBUSTNESS, find_rates
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.state import make_state_layout, read_state
 from impact_envs.stl.verdict import judge
@@ -26,7 +27,7 @@ DTYPES = {"float64": np.float64, "float32": np.float32}
 DEVICES = ("cpu", "cuda")
 RENDER_MODES = ("rgb_array",)
 # Infos that are there at every call, and their masks, which are true of all worlds.
-VALUES = ("robustness_lower", "robustness_upper", "impacts", "overflow")
+VALUES = ("robustness_lower", "robustness_upper", "impacts", "overflow", "is_success")
 ALWAYS = (*VALUES, *(f"_{name}" for name in VALUES))
 
 
@@ -36,11 +37,12 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
     Action and observation spaces, rewards, starting state, episode end: as JointEnv.
 
     Observations, rewards and infos are fresh arrays at every call. ``infos`` carries ``robustness_lower``,
-    ``robustness_upper``, ``impacts`` (in the last control period) and ``overflow`` (1 where impacts did not end within
-    it) of every world; where an episode ended also ``robustness``, ``success`` and ``decided`` (nothing follows: the
-    horizon is reached, or the simulation failed), each with its mask, ``_robustness`` for example; where a simulation
-    failed also ``failure``, an array of texts, marked by ``_failure``; with autoreset in the same step ``final_obs``,
-    marked by ``_final_obs``, and ``final_info``, the infos of the end of all worlds.
+    ``robustness_upper``, ``impacts`` (in the last control period), ``overflow`` (1 where impacts did not end within
+    it) and ``is_success`` (the formula holds for certain by now) of every world; where an episode ended also
+    ``robustness``, ``success`` and ``decided`` (nothing follows: the horizon is reached, or the simulation failed),
+    each with its mask, ``_robustness`` for example; where a simulation failed also ``failure``, an array of texts,
+    marked by ``_failure``; with autoreset in the same step ``final_obs``, marked by ``_final_obs``, and
+    ``final_info``, the infos of the end of all worlds.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario.
@@ -54,6 +56,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             ``cuda`` for worlds on a GPU; default: NumPy arrays.
         render_mode: ``rgb_array`` to draw the worlds.
         max_episode_steps: what ``gymnasium.make_vec`` calls ``max_cycles``.
+        reward: ``robustness`` (learn with gamma 1) or, for free-flyers, ``progress`` (.999); see ImpactEnv.
 
     Raises:
         ScenarioError: the scenario cannot be read.
@@ -72,6 +75,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         device: Literal["cpu", "cuda"] | None = None,
         render_mode: Literal["rgb_array"] | None = None,
         max_episode_steps: int | None = None,
+        reward: str = ROBUSTNESS,
     ) -> None:
         loaded = load_scenario(scenario)
         make_batch = find_part("impact_envs", loaded.domain, "BATCH")
@@ -80,6 +84,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
                 f"scenario '{loaded.name}': domain '{loaded.domain}' has no batched engine; "
                 "gymnasium.vector.SyncVectorEnv runs every scenario"
             )
+        find_rates(reward, loaded.domain)
         if render_mode not in (None, *RENDER_MODES):
             raise InputError(f"render_mode '{render_mode}' is unknown; {choices(str(render_mode), RENDER_MODES)}")
         if max_episode_steps is not None:
@@ -105,7 +110,8 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         self.render_mode = render_mode
         self._renderer: Any = None
         threads = threads or len(os.sched_getaffinity(0))
-        self.batch: Any = make_batch(loaded, num_envs, max_cycles, DTYPES[dtype], threads, device or "cpu")
+        self.reward, chosen = reward, {} if reward == ROBUSTNESS else {"reward": PROGRESS}  # not of every domain
+        self.batch: Any = make_batch(loaded, num_envs, max_cycles, DTYPES[dtype], threads, device or "cpu", **chosen)
         size = self.batch.joint_size
         self.single_observation_space = Box(-np.inf, np.inf, (size,), DTYPES[dtype])
         self.single_action_space = Box(-1.0, 1.0, (math.prod(self.batch.action_shape),), np.float32)
@@ -249,19 +255,21 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             raise ResetNeeded("render before reset: call reset first")
         if self.render_mode is None:
             return None
+        from impact_envs.picture.unit import find_unit
+        from impact_envs.picture.view import find_view
         from impact_envs.render import Frame, Renderer
 
         scenario: Any = self.scenario
         batch = self.batch
         if self._renderer is None:
             shapes = find_part("impact_envs", scenario.domain, "TASK")(scenario).shapes()
-            self._renderer = Renderer(scenario.world.lower, scenario.world.upper, shapes, self.render_mode)
-        images = []
+            self._renderer = Renderer(*find_view(scenario), shapes, self.render_mode)
+        images, unit = [], find_unit(scenario.specification)
         for steps, states, bounds in zip(*(a.tolist() for a in (batch.steps, batch.states, batch.bounds)), strict=True):
             poses = {body: (s[0], s[1], s[4]) for body, s in zip(scenario.bodies, states, strict=True)}
             time = steps * scenario.control_period
             chains = batch.task.chains(np.array(states))
-            frame = Frame(time=time, poses=poses, chains=chains, robustness=tuple(bounds), caption=scenario.name)
+            frame = Frame(time, poses, chains, robustness=tuple(bounds), unit=unit, caption=scenario.name)
             images.append(self._renderer.draw(frame))
         return tuple(images)
 
@@ -286,7 +294,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         """Return the infos of all worlds; over says which episodes ended, if any did."""
         batch = self.batch
         low, high = _copy(batch.bounds.T)
-        values = (low, high, _copy(batch.impacts), _copy(batch.overflow), *_copy(self._masks))
+        values = (low, high, _copy(batch.impacts), _copy(batch.overflow), batch.outcome > 0, *_copy(self._masks))
         infos = dict(zip(ALWAYS, values, strict=True))
         if over is not None:
             robustness, success = judge(batch.outcome)

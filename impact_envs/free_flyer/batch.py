@@ -13,6 +13,7 @@ from impact_envs.compiled import announce, bind
 from impact_envs.domain import load_attribute
 from impact_envs.errors import InputError
 from impact_envs.failure import NotFinite, TooManyEvents, check_finite
+from impact_envs.flight import make_flight, make_no_flight
 from impact_envs.free_flyer.pair import EVENTS
 from impact_envs.free_flyer.schema import SENSOR_COLUMNS, FreeFlyerScenario
 from impact_envs.free_flyer.secrets import list_secrets
@@ -41,6 +42,7 @@ from impact_envs.free_flyer.worlds import (
     make_worlds,
     write_physics,
 )
+from impact_envs.reward import ROBUSTNESS, find_rates
 from impact_envs.stl.compiler import compile_formula, read_parts
 from impact_envs.stream import draw_doubles, seed_streams
 
@@ -145,6 +147,7 @@ class Batch(BatchViews):
         max_cycles: truncate earlier than the horizon [control periods].
         dtype: of what is stored and returned; arithmetic is float64.
         threads: that share the worlds.
+        reward: see ImpactEnv.
 
     Raises:
         InputError: polygons, too many worlds for the memory, or a count below 1.
@@ -157,22 +160,23 @@ class Batch(BatchViews):
         max_cycles: int | None = None,
         dtype: type = np.float64,
         threads: int = 1,
+        reward: str = ROBUSTNESS,
     ) -> None:
         announce(run_tuples)
         self.scenario, self.count, self.dtype = scenario, count, dtype
         self.task = task = FreeFlyerTask(scenario)
         arena, _ = make_arena(scenario)
-        self._formula = compile_formula(
-            scenario.specification,
-            scenario.control_period,
-            scenario.areas,
-            scenario.bodies,
-            [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS],
-            task.signal_bounds(),
-        )
+        signals = [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS]
+        bounds, period, specification = task.signal_bounds(), scenario.control_period, scenario.specification
+        self._formula = compile_formula(specification, period, scenario.areas, scenario.bodies, signals, bounds)
+        rates, self._flight = find_rates(reward, scenario.domain), make_no_flight()
+        if rates is not None:
+            reach = specification.expand(scenario.bodies).reach(period)
+            self._flight = make_flight(self._formula, reach, period, signals, rates, bounds)
         self._sensing = make_sensing(scenario.control_period, scenario.true)
         self._last = scenario.steps if max_cycles is None else min(max_cycles, scenario.steps)
-        self._rules = Rules(float(scenario.horizon), self._last, scenario.world.diagonal, scenario.starts[None])
+        starts, flight = scenario.starts[None], self._flight
+        self._rules = Rules(float(scenario.horizon), self._last, scenario.world.diagonal, starts, flight)
         self.robots, self.bodies = len(scenario.robots), len(scenario.bodies)
         self.action_shape = self.robots, 3
         self.joint_size, self.agent_size = task.joint_layout.size, task.layouts[scenario.agents[0]].size
@@ -302,6 +306,7 @@ class Batch(BatchViews):
         kept, drawn = compute_memory_size(sensing, n, r), count_uniforms(sensing, n)
         ideal = kept + drawn == 0
         columns = SENSOR_COLUMNS if sensing.delay_steps + sensing.lost_steps > 0 else 0
+        predicts = self._flight.every > 0
         memory = Memory(
             states=states,
             signals=states,
@@ -315,6 +320,9 @@ class Batch(BatchViews):
             monitor=np.zeros((count, self._formula.size), dtype),
             bounds=np.zeros((count, 2), dtype),
             outcome=np.zeros(count, dtype),
+            potential=np.zeros(count, dtype),
+            spare=np.zeros((count, self._formula.size if predicts else 0), dtype),
+            flown=np.zeros((count, 6 * n if predicts else 0), dtype),
         )
         return make_worlds(self._arena, count, true.moves_bodies, true.changes_thrusters, dtype), view_signals(memory)
 
@@ -336,6 +344,7 @@ def make_batch(
     dtype: type = np.float64,
     threads: int = 1,
     device: str = "cpu",
+    reward: str = ROBUSTNESS,
 ) -> Any:
     """Make N worlds of a scenario: a `Batch`, or on a GPU a `GpuBatch`.
 
@@ -346,6 +355,7 @@ def make_batch(
         dtype: of what is stored and returned.
         threads: that share the worlds on the CPU.
         device: ``cpu`` or ``cuda``.
+        reward: ``robustness`` or ``progress``.
 
     Raises:
         InputError: polygons, the other engine, or what the batch itself refuses.
@@ -356,6 +366,6 @@ def make_batch(
             "discs; gymnasium.vector.SyncVectorEnv runs every scenario"
         )
     if device == "cpu":
-        return Batch(scenario, count, max_cycles, dtype, threads)
+        return Batch(scenario, count, max_cycles, dtype, threads, reward)
     make_gpu_batch = load_attribute("impact_envs.free_flyer.gpu:GpuBatch")  # by name, because it is made of a Batch
-    return make_gpu_batch(scenario, count, max_cycles, dtype)
+    return make_gpu_batch(scenario, count, max_cycles, dtype, reward)

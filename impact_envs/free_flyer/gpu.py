@@ -24,6 +24,7 @@ from impact_envs.free_flyer.batch import Batch, BatchViews
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.free_flyer.step import LEAVE, START, STEP, Memory, Output, run_range
 from impact_envs.free_flyer.worlds import REST, Scratch, Worlds, write_physics
+from impact_envs.reward import ROBUSTNESS
 from impact_envs.stream import draw_doubles, seed_streams
 
 # numba's simulator runs the kernels as plain Python on arrays in main memory (NUMBA_ENABLE_CUDASIM=1).
@@ -45,6 +46,7 @@ class GpuBatch(BatchViews):
         count: N.
         max_cycles: truncate earlier than the horizon [control periods].
         dtype: of what is stored and returned, float64 or float32; arithmetic is float64.
+        reward: see ImpactEnv.
 
     Raises:
         InputError: no GPU, polygons, more bodies than the kernel has room for, too many worlds for the memory, or a
@@ -57,11 +59,12 @@ class GpuBatch(BatchViews):
         count: int,
         max_cycles: int | None = None,
         dtype: type = np.float64,
+        reward: str = ROBUSTNESS,
     ) -> None:
         check_gpu()
-        self.scenario, self.count = scenario, count
+        self.scenario, self.count, self.reward = scenario, count, reward
         self.device = torch.device("cpu" if SIMULATED else "cuda:0")
-        self._host = host = Batch(scenario, 1, max_cycles, dtype)
+        self._host = host = Batch(scenario, 1, max_cycles, dtype, reward=reward)
         self._last, self._formula, self.task = host._last, host._formula, host.task
         self.robots, self.bodies = host.robots, host.bodies
         self.action_shape = host.action_shape
@@ -153,7 +156,7 @@ class GpuBatch(BatchViews):
         return Output(*(torch.empty(shape, dtype=dtype, device=self.device) for shape in shapes))  # type: ignore[arg-type]
 
     def __getstate__(self) -> dict[str, Any]:
-        arguments = self.scenario, self.count, self._last, self._host.dtype
+        arguments = self.scenario, self.count, self._last, self._host.dtype, self.reward
         groups = [_replace_arrays(group, lambda tensor: tensor.cpu().numpy()) for group in (self._worlds, self._memory)]
         return {"arguments": arguments, "groups": groups}
 
@@ -321,8 +324,14 @@ def _hand_over(tensor: torch.Tensor) -> Any:
 
 
 def _replace_arrays(arrays: Any, replace: Callable[[Any], Any]) -> Any:
-    """Return a NamedTuple with its arrays or tensors replaced, and its numbers kept."""
-    return type(arrays)(*(replace(each) if hasattr(each, "shape") else each for each in arrays))
+    """Return a NamedTuple with its arrays or tensors replaced, those of NamedTuples in it too, and its numbers kept."""
+
+    def renew(each: Any) -> Any:
+        if isinstance(each, tuple):
+            return _replace_arrays(each, replace)
+        return replace(each) if hasattr(each, "shape") else each
+
+    return type(arrays)(*map(renew, arrays))
 
 
 def _type_strided(arrays: Any) -> types.BaseTuple:

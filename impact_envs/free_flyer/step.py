@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.flight import Flight, predict_robustness
 from impact_envs.free_flyer.engine import step_world
 from impact_envs.free_flyer.sensing import (
     FELT_SPEED,
@@ -34,7 +35,7 @@ from impact_envs.free_flyer.worlds import (
     shift_starts,
     write_states,
 )
-from impact_envs.reward import compute_effort, compute_reward, compute_team_reward
+from impact_envs.reward import compute_effort, compute_progress_reward, compute_reward, compute_team_reward
 from impact_envs.stl.compiled_formula import CompiledFormula
 from impact_envs.stl.stepper import start_monitor, update_monitor
 from impact_envs.stl.verdict import compute_outcome, settle_tie
@@ -49,12 +50,14 @@ class Rules(NamedTuple):
         last: control periods after which an episode is truncated.
         diagonal: of the world; bounds of robustness are clipped to it [m].
         start: x, y, vx, vy, heading, omega of the bodies at the start, shape (1, n, 6).
+        flight: how signals go on by themselves, for reward "progress".
     """
 
     horizon: float
     last: int
     diagonal: float
     start: np.ndarray
+    flight: Flight
 
 
 class Memory(NamedTuple):
@@ -72,6 +75,9 @@ class Memory(NamedTuple):
         monitor: of the formula, shape (N, ...).
         bounds: interval of robustness still possible, shape (N, 2) [m].
         outcome: the robustness if the episode ended now, ties marked (``verdict.py``), shape (N,) [m].
+        potential: of reward "progress", shape (N,) [m].
+        spare, flown: where it is predicted, of the shapes of ``monitor`` and ``signals``; no columns
+            without it.
     """
 
     states: np.ndarray
@@ -86,6 +92,9 @@ class Memory(NamedTuple):
     monitor: np.ndarray
     bounds: np.ndarray
     outcome: np.ndarray
+    potential: np.ndarray
+    spare: np.ndarray
+    flown: np.ndarray
 
 
 class Output(NamedTuple):
@@ -131,10 +140,16 @@ def step_task(
     read_states(worlds, k, memory.states)
     for i in range(arena.robots):
         memory.contacts[k, i] = 1.0 if worlds.state[k, i, FELT] > FELT_SPEED else 0.0
-    before = memory.bounds[k, 0], memory.bounds[k, 1]
-    watch(formula, rules, memory, k, worlds.counter[k, STEPS])
-    after = memory.bounds[k, 0], memory.bounds[k, 1]
-    team = compute_team_reward(before, after, worlds.counter[k, STEPS] >= rules.last)
+    before, steps = (memory.bounds[k, 0], memory.bounds[k, 1]), worlds.counter[k, STEPS]
+    watch(formula, rules, memory, k, steps)
+    after, over = (memory.bounds[k, 0], memory.bounds[k, 1]), steps >= rules.last
+    if rules.flight.every == 0:
+        team = compute_team_reward(before, after, over)
+    else:
+        potential = memory.potential[k]
+        if over or worlds.counter[k, HITS] > 0 or steps % rules.flight.every == 0:
+            predict(formula, rules, memory, k, steps)
+        team = compute_progress_reward(potential, memory.potential[k], after[0], over)
     for i in range(arena.robots):
         output.rewards[k, i] = compute_reward(team, arena.robots, compute_effort(actions[k, i]))
     observe(worlds, sensing, rules, memory, output, k)
@@ -164,7 +179,11 @@ def fail_task(
     """End the episode of world k, whose motion cannot be followed: least robustness, the last sample observed."""
     before = memory.bounds[k, 0], memory.bounds[k, 1]
     memory.bounds[k, 0] = memory.bounds[k, 1] = memory.outcome[k] = -rules.diagonal
-    team = compute_team_reward(before, (-rules.diagonal, -rules.diagonal), True)
+    if rules.flight.every == 0:
+        team = compute_team_reward(before, (-rules.diagonal, -rules.diagonal), True)
+    else:
+        team = compute_progress_reward(memory.potential[k], -rules.diagonal, -rules.diagonal, True)
+        memory.potential[k] = -rules.diagonal
     for i in range(arena.robots):
         output.rewards[k, i] = compute_reward(team, arena.robots, compute_effort(actions[k, i]))
     worlds.counter[k, HITS] = 0
@@ -196,6 +215,8 @@ def start_task(
         output.rewards[k, i] = 0.0
     start_monitor(formula, memory.monitor, k)
     watch(formula, rules, memory, k, 0)
+    if rules.flight.every > 0:
+        predict(formula, rules, memory, k, 0)
     observe(worlds, sensing, rules, memory, output, k)
 
 
@@ -206,6 +227,14 @@ def watch(formula: CompiledFormula, rules: Rules, memory: Memory, k: int, count:
     memory.outcome[k] = compute_outcome(low, high, rules.diagonal)
     memory.bounds[k, 0] = max(-rules.diagonal, min(rules.diagonal, settle_tie(low)))
     memory.bounds[k, 1] = max(-rules.diagonal, min(rules.diagonal, settle_tie(high)))
+
+
+@compiled
+def predict(formula: CompiledFormula, rules: Rules, memory: Memory, k: int, count: int) -> None:
+    """Renew the potential of world k, whose last sample has this number."""
+    room = memory.monitor, memory.spare, memory.signals, memory.flown
+    found = predict_robustness(formula, rules.flight, *room, k, count, memory.bounds[k, 0])
+    memory.potential[k] = max(-rules.diagonal, min(rules.diagonal, found))
 
 
 @inlined

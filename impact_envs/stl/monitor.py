@@ -81,6 +81,11 @@ class Monitor:
             update_world(*self._compiled, self._memory, 0, self._sample)
 
     @property
+    def memory(self) -> np.ndarray:
+        """Return what is remembered of the samples, as the compiled functions take it, shape (1, numbers)."""
+        return self._memory
+
+    @property
     def parts(self) -> np.ndarray:
         """Return the interval of every temporal operator that the formula is joined of, shape (parts, 2) [m].
 

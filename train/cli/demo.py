@@ -13,6 +13,7 @@ from rich.console import Console
 
 from impact_envs.errors import InputError
 from train.cli.plan import Command as PlanCommand
+from train.cli.progress import say_written
 from train.evaluation.folder_lock import lock_folder
 
 SCENARIOS = ("throw_and_catch", "corridor")
@@ -57,6 +58,7 @@ class Command:
             out=self.out,
         )
         report = write_report(self.out)
+        say_written(report)
         return {"plans": plans, "rows": result.rows, "paired": result.paired, "report": str(report)}
 
 

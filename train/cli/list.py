@@ -27,6 +27,7 @@ class Command:
                     "gym_id": gym_id(s.name),
                     "horizon": s.horizon,
                     "agents": list(s.agents),
+                    "description": s.description,
                 }
                 for s in scenarios
             ]

@@ -8,6 +8,8 @@ from typing import Any
 
 from tyro.conf import Positional
 
+from train.cli.progress import say_written
+
 
 @dataclass
 class Command:
@@ -21,4 +23,6 @@ class Command:
         """Return the page's path."""
         from train.report.page import write_report
 
-        return {"report": str(write_report(self.folder))}
+        report = write_report(self.folder)
+        say_written(report)
+        return {"report": str(report)}

@@ -15,6 +15,7 @@ from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from impact_envs.file import write_atomically
 from impact_envs.scenario import load_scenario
+from train.cli.progress import say_written
 from train.papers.comparison import compare, write_table
 from train.papers.paper import Paper, Play, load_paper
 
@@ -53,6 +54,7 @@ class Command:
         rows = compare(paper, results)
         if self.out is not None:
             write_atomically(self.out / f"{paper.name}.md", write_table(rows).encode())
+            say_written(self.out / f"{paper.name}.md")
         figures = [
             {"figure": figure, "file": str(drawn[entry.play]), "shows": entry.says}
             for figure, entry in paper.figures.items()

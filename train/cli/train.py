@@ -8,6 +8,7 @@ from typing import Any
 from tyro.conf import OmitArgPrefixes
 
 from train.arguments import Args
+from train.cli.progress import say_written
 
 
 @dataclass
@@ -21,4 +22,6 @@ class Command:
         """Return steps, folder, time and the tuning evaluation."""
         from train.residual import main
 
-        return main(self.args)
+        result = main(self.args)
+        say_written(result["out"])
+        return result

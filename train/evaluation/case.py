@@ -11,6 +11,7 @@ from impact_envs.domain import find_part
 from impact_envs.errors import InputError, choices
 from impact_envs.scenario import Scenario, load_scenario
 from planners import check_options, check_oracle, check_planned, list_variants
+from train.evaluation.own_policy import is_own
 
 if TYPE_CHECKING:
     from planners.plan import Plan
@@ -89,7 +90,7 @@ def check_names(kind: str, names: Sequence[str]) -> None:
 
 def has_expert(policy: str) -> bool:
     """Return whether a policy of this name has an expert, and so options and mostly a plan."""
-    return policy not in ("zero", "random")
+    return policy not in ("zero", "random") and not is_own(policy)
 
 
 def check_settings(case: Case, policies: Sequence[str]) -> None:
@@ -128,4 +129,4 @@ def check_plan(case: Case, policies: Sequence[str]) -> None:
 
 def is_built_in(policy: str, scenario: Scenario) -> bool:
     """Return whether a policy of this name needs no checkpoint in a scenario."""
-    return policy in (*BUILT_IN, *list_variants(scenario))
+    return is_own(policy) or policy in (*BUILT_IN, *list_variants(scenario))

@@ -86,6 +86,16 @@ def test_worlds_are_the_cpus(name, suite):
 
 
 @on_device
+def test_progress_is_the_cpus():
+    pair = make_pair(strengthen(load_scenario("corridor").suite("all")), reward="progress")
+    drawn = np.random.default_rng(1).uniform(-1.0, 1.0, (STEPS // 10, WORLDS, 2, 3))
+    assert run_both(pair, np.repeat(drawn, 10, axis=0), restarts=(30,)).sum() > 0
+    potentials = [np.array(batch._memory.potential.tolist()) for batch, _ in pair]
+    assert len(set(potentials[0])) == WORLDS
+    np.testing.assert_allclose(*potentials, rtol=0, atol=0.0 if SIMULATED else 1e-9)
+
+
+@on_device
 def test_operators_inside_operators_are_the_cpus():
     alternations = "G[0,2] F[0,1] all in corridor & F[0,1] G[0,1] F[0.2,1] pop.y <= 2"
     joins = "G[0,2] (pop in goal -> F[0,1] snap in goal) & F[0,2] (pop in goal U[0.4,1] snap in goal)"
