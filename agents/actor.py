@@ -12,6 +12,7 @@ from pydantic import Field
 from torch import nn
 
 from agents.checkpoint import WeightsRecord, check_tensors, read_record, read_tensors, write_checkpoint
+from agents.source import Source
 from impact_envs.errors import InputError
 
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
@@ -23,25 +24,26 @@ class PolicyRecord(WeightsRecord):
 
     Attributes:
         format_version: of the two files.
-        scenario, domain, suite, algorithm: of the training.
+        domain: of the scenarios.
+        sources: scenarios and suites of the training.
+        variant: of the expert; None: the expert itself.
+        algorithm: of the training.
         feature_size, correction_size: input and output of the network; the expert must offer the same.
         hidden: width of each hidden layer.
-        squash: how the output is kept in [-1, 1].
         feature_clip: normalised features are clipped to plus and minus this.
         seed, steps: of the training so far; a step is one awaited correction.
         training: every argument of the training run.
         versions: of the packages that trained it.
     """
 
-    format_version: Literal[1] = 1
-    scenario: str
+    format_version: Literal[2] = 2
     domain: str
-    suite: str
+    sources: Annotated[tuple[Source, ...], Field(min_length=1)]
+    variant: str | None = None
     algorithm: Annotated[str, Field(min_length=1)]
     feature_size: Size
     correction_size: Size
     hidden: Annotated[tuple[Size, ...], Field(max_length=8)]
-    squash: Literal["clip", "tanh"]
     feature_clip: Annotated[float, Field(gt=0)] = 10.0
     seed: int
     steps: Annotated[int, Field(ge=0)]
@@ -52,14 +54,13 @@ class PolicyRecord(WeightsRecord):
 class Actor(nn.Module):
     """Map an expert's features to a correction by a tanh network on normalised features.
 
-    correction = squash(W_n tanh(... tanh(W_1 z + b_1)) + b_n), z = clip((features - mean) / std,
-    ±feature_clip). A new actor has W_n = 0 and b_n = 0: its correction is exactly zero.
+    correction = clip(W_n tanh(... tanh(W_1 z + b_1)) + b_n, ±1), z = clip((features - mean) / std, ±feature_clip).
+    A new actor has W_n = 0 and b_n = 0: its correction is exactly zero.
 
     Args:
         feature_size: length of the expert's features.
         correction_size: length of the expert's correction.
         hidden: width of each hidden layer.
-        squash: "clip" to [-1, 1], or "tanh".
         feature_clip: bound of the normalised features.
     """
 
@@ -71,11 +72,10 @@ class Actor(nn.Module):
         feature_size: int,
         correction_size: int,
         hidden: tuple[int, ...] = (64, 64),
-        squash: Literal["clip", "tanh"] = "clip",
         feature_clip: float = 10.0,
     ) -> None:
         super().__init__()
-        self.squash, self.feature_clip = squash, feature_clip
+        self.feature_clip = feature_clip
         sizes = (feature_size, *hidden, correction_size)
         self.layers = nn.ModuleList([nn.Linear(a, b) for a, b in pairwise(sizes)])
         self.register_buffer("mean", torch.zeros(feature_size, dtype=torch.float64))
@@ -95,17 +95,16 @@ class Actor(nn.Module):
         x = normalized.clamp(-self.feature_clip, self.feature_clip).float()
         for layer in self.layers[:-1]:
             x = torch.tanh(layer(x))
-        x = self.layers[-1](x)
-        return torch.tanh(x) if self.squash == "tanh" else x.clamp(-1.0, 1.0)
+        return self.layers[-1](x).clamp(-1.0, 1.0)
 
     def correction(self, features: np.ndarray) -> np.ndarray:
-        """Return the mean correction for one feature vector.
+        """Return the mean correction.
 
         Args:
-            features: shape (feature_size,).
+            features: shape (..., feature_size).
 
         Returns:
-            Correction in [-1, 1], shape (correction_size,), float64.
+            Correction in [-1, 1], shape (..., correction_size), float64.
         """
         with torch.no_grad():
             return self(torch.as_tensor(features, dtype=torch.float64)).numpy().astype(np.float64)
@@ -154,7 +153,7 @@ def load_policy(directory: str | Path) -> tuple[Actor, PolicyRecord]:
         if not (path / name).is_file():
             raise InputError(f"checkpoint '{path}' has no {name}; it must hold {WEIGHTS} and {DESCRIPTION}")
     record = read_record(path / DESCRIPTION, PolicyRecord)
-    actor = Actor(record.feature_size, record.correction_size, record.hidden, record.squash, record.feature_clip)
+    actor = Actor(record.feature_size, record.correction_size, record.hidden, record.feature_clip)
     tensors = read_tensors(path / WEIGHTS, record)
     check_tensors(path / WEIGHTS, tensors, _arrays(actor))
     if not np.all(tensors["std"] > 0):

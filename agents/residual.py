@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -61,7 +62,7 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Where two corrections are due in the same control step, the step from the first to the second takes no time.
 
     Action space: ``Box(-1, 1, (correction_size,))``; zero is the expert, bit for bit. Each expert says what a
-    correction changes; a free-flyer's scales and turns the impulse of the coming impact.
+    correction changes; a free-flyer's scales and turns the impulse of the coming impact, and shifts its time.
 
     Observation space: the expert's features, float64, SI units, computed from measurements and beliefs only.
 
@@ -229,27 +230,33 @@ class ResidualPolicy:
             options: of the expert, see planners.make_expert.
 
         Raises:
-            InputError: the checkpoint is broken, or does not fit this scenario's expert.
+            InputError: the checkpoint is broken, or does not fit this scenario's expert. A policy of another expert or
+                plan that fits is loaded with a warning.
             PlanningError: the expert found no plan.
         """
         # Imported here: residual environments need no torch.
         from agents.actor import load_policy
+        from agents.source import find_difference
 
         actor, record = load_policy(directory)
         loaded = load_scenario(scenario)
+        names = ", ".join(sorted({source.scenario for source in record.sources}))
         if record.domain != loaded.domain:
             raise InputError(
                 f"checkpoint '{directory}' is for domain '{record.domain}', "
                 f"scenario '{loaded.name}' has domain '{loaded.domain}'"
             )
-        expert: CorrectableExpert = make_expert(loaded, plan, options=options)
+        expert: CorrectableExpert = make_expert(loaded, plan, record.variant, options)
         for key in ("feature_size", "correction_size"):
             trained, offered = getattr(record, key), getattr(expert, key)
             if trained != offered:
                 raise InputError(
-                    f"checkpoint '{directory}' was trained on '{record.scenario}' with {key} {trained}; "
+                    f"checkpoint '{directory}' was trained on {names} with {key} {trained}; "
                     f"the expert of '{loaded.name}' has {key} {offered}"
                 )
+        difference = find_difference(record.sources, loaded, getattr(expert, "plan", None))
+        if difference is not None:
+            warnings.warn(f"checkpoint '{directory}': {difference}", stacklevel=2)
         return cls(expert, actor.correction, name=str(directory))
 
     def reset(self, seed: int) -> None:

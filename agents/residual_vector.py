@@ -50,6 +50,7 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         threads: that share the worlds; all cores if not given.
         render_mode: None; these worlds are not drawn.
         max_episode_steps: what ``gymnasium.make_vec`` calls ``max_cycles``, in control periods, too.
+        variant: of the experts, see planners.list_variants.
 
     Raises:
         ScenarioError: the scenario or the suite is unknown.
@@ -69,6 +70,7 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         threads: int | None = None,
         render_mode: None = None,
         max_episode_steps: int | None = None,
+        variant: str | None = None,
     ) -> None:
         if render_mode is not None:
             raise InputError(
@@ -99,7 +101,7 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.autoreset_mode}
         threads = threads or len(os.sched_getaffinity(0))
-        self.experts = make_expert_batch(loaded, num_envs, plan, options=options, threads=threads)
+        self.experts = make_expert_batch(loaded, num_envs, plan, variant, options, threads)
         make_batch = find_part("impact_envs", loaded.domain, "BATCH")
         self.batch = make_batch(loaded, num_envs, max_cycles, threads=self.experts.threads)
         self.decisions = Decisions(self.batch, self.experts, make_loop)

@@ -1,173 +1,178 @@
-"""Learning algorithms of Stable-Baselines3: an entry of `ALGORITHMS` says all that the project knows of one."""
+"""PPO of Stable-Baselines3 over whole episodes: an episode is compared with others of the same seed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Literal, cast
+from typing import Any, cast
 
+import gymnasium
 import numpy as np
 import torch
-from stable_baselines3 import PPO, SAC
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import VecNormalize
+from gymnasium.spaces import Box
+from stable_baselines3 import PPO
+from stable_baselines3.common.buffers import RolloutBuffer
 from torch import nn
 
 from agents.actor import Actor, set_to_zero
-from impact_envs.errors import InputError, choices
 
-REPLAY_SIZE = 100_000  # corrections that an off-policy algorithm learns from
+LEAST_SPREAD = 1e-3  # of a feature: one that hardly varies is not blown up to noise
+FEATURE_CLIP = 10.0  # of a normalised feature
 
 
 @dataclass(frozen=True)
 class LearningOptions:
-    """Options that all algorithms share; each uses those that it has.
+    """Options of PPO.
 
     Attributes:
-        hidden: width of each hidden layer, for policy and value.
+        hidden: width of each hidden layer.
         learning_rate: step size of Adam.
-        rollout: corrections between two on-policy updates, over all environments.
         batch: corrections per gradient step.
-        log_std: logarithm of the exploration's standard deviation at the start, before any squashing.
-        seed: of networks and exploration.
+        epochs: times that every correction is learned from.
+        clip: greatest relative change of a correction's probability that is rewarded.
+        entropy: weight of the exploration's entropy.
+        target_kl: change of the policy at which an update ends early; None: never.
+        log_std: logarithm of the exploration's standard deviation at the start.
+        seed: of the network.
     """
 
     hidden: tuple[int, ...]
     learning_rate: float
-    rollout: int
     batch: int
+    epochs: int
+    clip: float
+    entropy: float
+    target_kl: float | None
     log_std: float
     seed: int
 
 
 @dataclass(frozen=True)
-class Algorithm:
-    """A learning algorithm.
+class Statistics:
+    """Mean and spread of an expert's features, by which they are normalised.
 
     Attributes:
-        model: its class.
-        squash: how its deterministic policy keeps corrections in [-1, 1].
-        make: return a new model from environments, options, and the keyword arguments that all algorithms take.
-        list_layers: return the modules of a model's deterministic policy, from features to corrections; only linear
-            layers with tanh between them are exported.
-        start_at_expert: make the mean correction of a new model zero, and its exploration as log_std says.
+        mean, std: shape (F,).
     """
 
-    model: type[BaseAlgorithm]
-    squash: Literal["clip", "tanh"]
-    make: Callable[[VecNormalize, LearningOptions, dict[str, Any]], BaseAlgorithm]
-    list_layers: Callable[[Any], Iterable[nn.Module]]
-    start_at_expert: Callable[[Any, float], None]
+    mean: np.ndarray
+    std: np.ndarray
+
+    def normalize(self, features: np.ndarray) -> np.ndarray:
+        """Return features over their spread, clipped, shape (n, F), float32."""
+        return np.clip((features - self.mean) / self.std, -FEATURE_CLIP, FEATURE_CLIP).astype(np.float32)
 
 
-def _make_ppo(envs: VecNormalize, options: LearningOptions, shared: dict[str, Any]) -> PPO:
-    steps = max(2, options.rollout // envs.num_envs)
-    batch = min(options.batch, steps * envs.num_envs)
-    return PPO("MlpPolicy", envs, options.learning_rate, steps, batch, gae_lambda=1.0, **shared)
+def compute_statistics(features: np.ndarray) -> Statistics:
+    """Return mean and spread of features, shape (n, F)."""
+    return Statistics(features.mean(axis=0), np.sqrt(features.var(axis=0) + LEAST_SPREAD**2))
 
 
-def _start_ppo(model: PPO, log_std: float) -> None:
-    """Zero the value too: nothing is known of it before the first episode."""
-    set_to_zero(model.policy.action_net)
-    set_to_zero(model.policy.value_net)
-    nn.init.constant_(model.policy.log_std, log_std)
+class _Spaces(gymnasium.Env[np.ndarray, np.ndarray]):
+    """All that PPO asks of an environment: episodes are played elsewhere."""
+
+    def __init__(self, feature_size: int, correction_size: int) -> None:
+        self.observation_space = Box(-FEATURE_CLIP, FEATURE_CLIP, (feature_size,), np.float32)
+        self.action_space = Box(-1.0, 1.0, (correction_size,), np.float32)
 
 
-def _make_sac(envs: VecNormalize, options: LearningOptions, shared: dict[str, Any]) -> SAC:
-    rate, batch = options.learning_rate, options.batch
-    return SAC("MlpPolicy", envs, rate, REPLAY_SIZE, batch, batch, gradient_steps=-1, **shared)
+def make_model(feature_size: int, correction_size: int, options: LearningOptions) -> PPO:
+    """Make a model whose mean correction is exactly zero: the expert.
 
-
-def _start_sac(model: SAC, log_std: float) -> None:
-    """Make the standard deviation the same for all features."""
-    set_to_zero(model.actor.mu)
-    layer = cast(nn.Linear, model.actor.log_std)
-    set_to_zero(layer)
-    nn.init.constant_(layer.bias, log_std)
-
-
-ALGORITHMS = {
-    "ppo": Algorithm(
-        PPO, "clip", _make_ppo, lambda m: (*m.policy.mlp_extractor.policy_net, m.policy.action_net), _start_ppo
-    ),
-    "sac": Algorithm(SAC, "tanh", _make_sac, lambda m: (*m.actor.latent_pi, m.actor.mu), _start_sac),
-}
-
-
-def check_algorithm(name: str) -> None:
-    """Raise unless an algorithm is known.
-
-    Raises:
-        InputError: one line with the choices.
-    """
-    if name not in ALGORITHMS:
-        raise InputError(f"algo '{name}' is unknown; {choices(name, ALGORITHMS)}")
-
-
-def find_name(model: BaseAlgorithm) -> str:
-    """Return the name of a model's algorithm."""
-    return next(name for name, algorithm in ALGORITHMS.items() if isinstance(model, algorithm.model))
-
-
-def make_model(name: str, envs: VecNormalize, options: LearningOptions) -> BaseAlgorithm:
-    """Make a model that starts exactly at the expert.
-
-    gamma = 1: an episode has few decisions, and its return is what counts.
+    gamma = 1: an episode has few corrections, and its end is what counts. There is no value function: what an episode
+    is worth beside what its world allows, other episodes in the same world tell better.
 
     Args:
-        name: of the algorithm.
-        envs: training environments.
+        feature_size, correction_size: of the expert.
         options: of the algorithm.
-
-    Raises:
-        InputError: unknown algorithm.
     """
-    check_algorithm(name)
-    network = {"net_arch": list(options.hidden), "activation_fn": nn.Tanh}
-    shared = {"gamma": 1.0, "policy_kwargs": network, "seed": options.seed, "device": "cpu"}
-    model = ALGORITHMS[name].make(envs, options, shared)
-    start_at_expert(model, options.log_std)
+    model = PPO(
+        "MlpPolicy",
+        _Spaces(feature_size, correction_size),
+        options.learning_rate,
+        n_steps=options.batch,
+        batch_size=options.batch,
+        n_epochs=options.epochs,
+        gamma=1.0,
+        gae_lambda=1.0,
+        clip_range=options.clip,
+        ent_coef=options.entropy,
+        vf_coef=0.0,
+        target_kl=options.target_kl,
+        policy_kwargs={"net_arch": {"pi": list(options.hidden), "vf": []}, "activation_fn": nn.Tanh},
+        seed=options.seed,
+        device="cpu",
+    )
+    set_to_zero(model.policy.action_net)
+    set_to_zero(model.policy.value_net)
+    nn.init.constant_(cast(Any, model.policy).log_std, options.log_std)
     return model
 
 
-def start_at_expert(model: BaseAlgorithm, log_std: float) -> None:
-    """Make a new model's mean correction exactly zero.
+def explore(model: PPO, normalized: np.ndarray) -> np.ndarray:
+    """Return corrections drawn from a model's policy, shape (m, C).
 
     Args:
-        model: of an algorithm in `ALGORITHMS`.
-        log_std: logarithm of the exploration's standard deviation, before any squashing.
+        model: to draw from, with torch's generator.
+        normalized: features, shape (m, F).
     """
-    ALGORITHMS[find_name(model)].start_at_expert(model, log_std)
+    with torch.no_grad():
+        actions, _, _ = model.policy(torch.from_numpy(normalized))
+    return actions.numpy()
 
 
-def export_actor(model: BaseAlgorithm, normalize: VecNormalize) -> Actor:
-    """Copy the deterministic policy out of a model, without value function or exploration.
+def compute_advantages(scores: np.ndarray, group: int) -> np.ndarray:
+    """Return how much better each episode was than the mean of the others with its seed.
+
+    A_i = R_i - sum_{j != i} R_j / (g - 1): unbiased, because the others' corrections do not depend on its own.
 
     Args:
-        model: of an algorithm in `ALGORITHMS`.
-        normalize: the model's environment, which holds the running statistics of the features.
+        scores: of episodes, those of one seed in a row, shape (E,).
+        group: g, episodes of a seed, at least 2.
+
+    Source: Kool, van Hoof & Welling, "Buy 4 REINFORCE samples, get a baseline for free!" (2019).
+    """
+    each = scores.reshape(-1, group)
+    return ((each - each.mean(axis=1, keepdims=True)) * group / (group - 1)).reshape(-1)
+
+
+def update(model: PPO, normalized: np.ndarray, corrections: np.ndarray, advantages: np.ndarray) -> None:
+    """Improve a model's policy by PPO's clipped objective.
+
+    Args:
+        model: that chose the corrections.
+        normalized: features, shape (n, F).
+        corrections: as drawn, shape (n, C).
+        advantages: of each, shape (n,).
+    """
+    count = len(corrections)
+    buffer = RolloutBuffer(count, model.observation_space, model.action_space, "cpu", gae_lambda=1.0, gamma=1.0)
+    with torch.no_grad():
+        actions = torch.from_numpy(corrections.astype(np.float32))
+        _, probability, _ = model.policy.evaluate_actions(torch.from_numpy(normalized), actions)
+    buffer.observations[:, 0], buffer.actions[:, 0] = normalized, actions.numpy()
+    buffer.log_probs[:, 0] = probability.numpy()
+    buffer.advantages[:, 0] = advantages
+    buffer.full, model.rollout_buffer = True, buffer
+    model.num_timesteps += count
+    model.train()
+
+
+def export_actor(model: PPO, statistics: Statistics) -> Actor:
+    """Copy the deterministic policy out of a model, without exploration.
+
+    Args:
+        model: from `make_model`.
+        statistics: by which its features are normalised.
 
     Returns:
         An actor whose correction equals ``model.predict(normalized features, deterministic=True)``.
     """
-    algorithm = ALGORITHMS[find_name(model)]
-    layers = [layer for layer in algorithm.list_layers(model) if isinstance(layer, nn.Linear)]
-    actor = Actor(
-        layers[0].in_features,
-        layers[-1].out_features,
-        tuple(layer.out_features for layer in layers[:-1]),
-        algorithm.squash,
-        normalize.clip_obs,
-    )
+    modules = (*model.policy.mlp_extractor.policy_net, model.policy.action_net)
+    layers = [layer for layer in modules if isinstance(layer, nn.Linear)]
+    hidden = tuple(layer.out_features for layer in layers[:-1])
+    actor = Actor(layers[0].in_features, layers[-1].out_features, hidden, FEATURE_CLIP)
     for mine, theirs in zip(actor.layers, layers, strict=True):
         mine.load_state_dict(theirs.state_dict())
-    statistics = get_statistics(normalize)
     actor.mean.copy_(torch.from_numpy(statistics.mean))
-    actor.std.copy_(torch.from_numpy(np.sqrt(statistics.var + normalize.epsilon)))
+    actor.std.copy_(torch.from_numpy(statistics.std))
     return actor
-
-
-def get_statistics(normalize: VecNormalize) -> RunningMeanStd:
-    """Return the statistics of the features, which are one vector and not a dictionary of them."""
-    return cast(RunningMeanStd, normalize.obs_rms)

@@ -2,123 +2,121 @@
 
 ``python -m train.residual --help`` lists every argument. What a run leaves in ``out``:
 
-    policy.safetensors, policy.json   the policy that was best on the tuning seeds, so ``out`` is a checkpoint
-    checkpoints/<steps>/              the last two policies, with all that is needed to resume
+    policy.safetensors, policy.json   the policy that surely gained most on the tuning seeds, so ``out`` is a checkpoint
+    checkpoints/<iteration>/          the last two policies, with all that is needed to resume
     args.json                         arguments, seed and versions
     tensorboard/                      learning curves
+
+An iteration plays whole episodes, several of each seed that differ in exploration alone, and improves the policy by
+PPO; what an episode is compared with is the others of its seed. Its seeds and all that it draws follow from the run's
+seed and its number: a run that was killed and resumed ends with the weights of one that was not.
 """
 
 from __future__ import annotations
 
 import shutil
-import signal
 import time
-from dataclasses import asdict
-from functools import partial
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, SupportsFloat, cast
+from typing import Any
 
-import gymnasium
 import numpy as np
-import pandas as pd
 import torch
-import tyro
-from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3 import PPO
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
 
-from agents import sb3
-from agents.actor import PolicyRecord, save_policy
-from agents.residual import TRAINING_SEEDS, ResidualEnv, ResidualPolicy
-from agents.sb3 import export_actor
+from agents.actor import Actor, PolicyRecord, save_policy
+from agents.play import Played, play_episodes
+from agents.residual import TRAINING_SEEDS
+from agents.residual_vector import ResidualVectorEnv
+from agents.sb3 import (
+    LearningOptions,
+    Statistics,
+    compute_advantages,
+    compute_statistics,
+    explore,
+    export_actor,
+    make_model,
+    update,
+)
+from agents.source import Source, make_source
 from agents.training_state import load_training, read_training, save_training
-from impact_envs.env import parallel_env
 from impact_envs.errors import InputError
-from impact_envs.reward import compute_potential
-from impact_envs.rollout import Policy, rollout
-from impact_envs.scenario import Scenario, load_scenario
-from planners import has_planner, make_expert, make_plan
-from planners.plan import Plan
+from planners import check_options, has_planner, list_options, make_plan
 from train.arguments import Args
-from train.evaluation.errors import WorkerLost
+from train.evaluation.case import check_names, make_case
+from train.evaluation.errors import Diverged
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
-from train.evaluation.statistics import compare_pairs, compute_wilson_interval
-from train.evaluation.workers import end_with_parent
-from train.watch import EpisodeLog, learn, show_progress, stop_on_signals
+from train.evaluation.paired import Gain, compute_gain, summarise_pairs
+from train.settings import parse_settings
+from train.watch import Watch, run_script, show_progress
 
-# Tuning seeds start here; evaluation seeds start at 2,000,000.
-TUNING_SEEDS = 1_000_000
+# Seeds of selection and of the report on what was selected; evaluation seeds start at 2,000,000.
+TUNING_SEEDS, REPORT_SEEDS = 1_000_000, 1_500_000
+DEFAULT_SUITE = "hard"
 # Arguments that decide what a checkpoint means; a resumed run must have the same.
-FIXED = ("scenario", "suite", "algo", "seed", "n_envs", "hidden")
+FIXED = ("scenarios", "suite", "seed", "variant", "set", "worlds", "group", "hidden", "worst")
+
+
+@dataclass
+class Ground:
+    """A scenario in a suite to train in.
+
+    Attributes:
+        source: its description.
+        worlds: with the expert.
+        scale: unit of the robustness in scores: the median of the expert's, or of its size [m].
+        reference: the expert's episodes by their first seed, played once.
+    """
+
+    source: Source
+    worlds: ResidualVectorEnv
+    scale: float
+    reference: dict[int, Played]
 
 
 def main(args: Args) -> dict[str, Any]:
-    """Train, or go on training, until ``steps`` corrections are answered or Ctrl-C asks to stop.
+    """Train, or go on training, until ``steps`` corrections are answered.
+
+    Ctrl-C or a kill loses the present iteration and nothing else.
 
     Args:
         args: arguments of the run.
 
     Returns:
-        ``steps`` answered, ``out``, ``wall_seconds``, ``eval`` (of the best policy on the tuning seeds,
-        paired with the expert; empty if there was none) and ``interrupted``.
+        ``steps`` answered, ``out``, ``wall_seconds``, ``eval``: of the kept policy on the tuning seeds, paired with the
+        expert, and ``report``: on seeds that it was not chosen on.
 
     Raises:
         InputError: bad arguments, or a run in ``out`` that cannot be gone on with.
         PlanningError: the expert found no plan.
-        WorkerLost: the process of an environment ended.
         Diverged: the weights are no longer finite; the last checkpoint stays.
     """
+    start = time.perf_counter()
     check_args(args)
-    load_scenario(args.scenario).suite(args.suite)  # refused before anything is written
+    torch.set_num_threads(1)
     with lock_folder(args.out):
         check_run(args)
+        grounds = make_grounds(args)
         try:
-            return _train(args)
-        except (EOFError, ConnectionError) as error:
-            raise WorkerLost(
-                f"out {args.out}: the process of an environment ended ({type(error).__name__}): killed, or out of "
-                "memory? resume from the last checkpoint"
-            ) from None
-
-
-def _train(args: Args) -> dict[str, Any]:
-    start = time.perf_counter()
-    torch.set_num_threads(1)
-    scenario = load_scenario(args.scenario)
-    plan = make_plan(scenario.suite(args.suite)) if has_planner(scenario) else None
-    envs = make_envs(args, scenario, plan)
-    try:
-        model = make_model(args, envs)
-        run = Run(args, scenario, plan, model, envs)
-        with stop_on_signals() as stopping, show_progress(args.steps, args.progress) as advance:
-            callback = EpisodeLog(stopping, advance)
-            while model.num_timesteps < args.steps and not stopping.is_set():
-                ahead = args.checkpoint_every - model.num_timesteps % args.checkpoint_every
-                ahead = min(ahead, args.steps - model.num_timesteps)
-                learn(model, ahead, callback)
-                if not stopping.is_set():
-                    run.evaluate_if_due()
-                run.save()
-    finally:
-        _close(envs)
+            run = Run(args, grounds)
+            with show_progress(args.steps, args.progress) as watch:
+                run.begin(watch)
+                while run.model.num_timesteps < args.steps:
+                    run.iterate(watch)
+            report = run.report()
+        finally:
+            for ground in grounds:
+                ground.worlds.close()
     return {
-        "steps": model.num_timesteps,
+        "steps": run.model.num_timesteps,
         "out": str(args.out),
         "wall_seconds": time.perf_counter() - start,
-        "eval": max(run.evaluations, key=_score, default={}),
-        "interrupted": stopping.is_set(),
+        "eval": run.best,
+        "report": report,
     }
-
-
-def _close(envs: VecNormalize) -> None:
-    """Close environments; where one process has died, the others end at once."""
-    try:
-        envs.close()
-    except (EOFError, ConnectionError):
-        for process in cast(SubprocVecEnv, envs.venv).processes:
-            process.kill()
 
 
 def check_args(args: Args) -> None:
@@ -130,19 +128,24 @@ def check_args(args: Args) -> None:
     Raises:
         InputError: one line naming the argument, its value and the limit.
     """
-    least = {"steps": 1, "seed": 0, "n_envs": 1, "rollout": 2, "batch": 2, "checkpoint_every": 1}
-    for name, low in (least | {"eval_every": 0, "eval_episodes": 1}).items():
+    least = {"steps": 1, "seed": 0, "group": 2, "worlds": 2, "batch": 2, "epochs": 1}
+    for name, low in (least | {"eval_every": 0, "eval_episodes": 2, "report_episodes": 0}).items():
         if getattr(args, name) < low:
             raise InputError(f"{name} {getattr(args, name)} is too small; choices: {low}, {low + 1}, ...")
-    sb3.check_algorithm(args.algo)
-    # The limits of the deviation are SAC's own.
-    for name, lowest, highest in (("learning_rate", 0.0, 1.0), ("log_std", -20.0, 2.0)):
+    ranges = (("learning_rate", 0.0, 1.0), ("log_std", -20.0, 2.0), ("clip", 0.0, 1.0), ("worst", 0.0, 1e6))
+    for name, lowest, highest in ranges:
         if not lowest <= (value := getattr(args, name)) <= highest:
             raise InputError(f"{name} {value:g}: choices: from {lowest:g} to {highest:g}")
-    if args.rollout % args.n_envs:
-        raise InputError(f"rollout {args.rollout} is not a multiple of n_envs {args.n_envs}")
+    if args.eval_episodes > REPORT_SEEDS - TUNING_SEEDS:
+        raise InputError(f"eval_episodes {args.eval_episodes}: there are {REPORT_SEEDS - TUNING_SEEDS} tuning seeds")
     if not args.hidden or min(args.hidden) < 1:
         raise InputError(f"hidden {list(args.hidden)}: every layer needs a width of at least 1")
+    share = len(args.scenarios) * len(args.suite or (DEFAULT_SUITE,)) * args.group
+    if share == 0 or args.worlds % share:
+        raise InputError(
+            f"worlds {args.worlds} is not a multiple of group {args.group} in each of {share // args.group} "
+            "scenarios and suites"
+        )
     check_run(args)
 
 
@@ -159,7 +162,7 @@ def check_run(args: Args) -> None:
     if args.resume and held is None:
         raise InputError(f"out {args.out}: holds no checkpoint to resume from")
     if held is not None and not args.resume:
-        raise InputError(f"out {args.out}: holds a run of {int(held.name)} steps; resume it or choose another")
+        raise InputError(f"out {args.out}: holds a run of {int(held.name)} iterations; resume it or choose another")
     if held is not None:
         before, now = read_training(held).run, _settings(args)
         for key in FIXED:
@@ -178,7 +181,7 @@ def check_evaluations(checkpoint: Path, evaluations: list[dict[str, Any]]) -> No
         InputError: one lacks a number, or has none there.
     """
     for place, evaluation in enumerate(evaluations):
-        for name in ("steps", "success_rate", "difference_median"):
+        for name in ("iterations", "low"):
             if type(evaluation.get(name)) not in (int, float):
                 where = f"{checkpoint}: key 'evaluations.{place}'"
                 raise InputError(f"{where}: {name} = {evaluation.get(name)!r:.60}: a number is needed")
@@ -194,179 +197,240 @@ def last_checkpoint(out: Path) -> Path | None:
     return max(folders, key=lambda path: int(path.name), default=None)
 
 
-def make_envs(args: Args, scenario: Scenario, plan: Plan | None) -> VecNormalize:
-    """Make the training environments, with running normalisation of the features.
+def make_grounds(args: Args) -> list[Ground]:
+    """Make the worlds of every scenario and suite.
 
     Args:
         args: arguments of the run.
-        scenario: what to train on.
-        plan: for the experts to follow.
+
+    Raises:
+        InputError: an unknown scenario, suite or value, or scenarios of different experts.
+        PlanningError: an expert found no plan.
     """
-    apart = args.subprocesses and args.n_envs > 1
-    makers = [partial(_make_env, scenario, args.suite, plan, apart)] * args.n_envs
-    envs: VecEnv = SubprocVecEnv(makers, start_method="spawn") if apart else DummyVecEnv(makers)  # type: ignore[arg-type]
-    # A feature that hardly varies keeps a spread of 1e-3, so that it is not blown up to noise.
-    return VecNormalize(envs, norm_reward=False, gamma=1.0, epsilon=1e-6)
-
-
-class DecidedEnds(gymnasium.Wrapper[np.ndarray, np.ndarray, np.ndarray, np.ndarray]):
-    """Tell the learner that nothing follows a decided formula, and leave out what every episode's return has in it.
-
-    SB3 adds the value of the last features to a truncated return. At the horizon the return is whole: with it,
-    gamma = 1 and an estimate that feeds on itself, the value would grow without bound. A cut before it stays one.
-
-    Rewards sum up to twice the robustness minus what was known of it at the start, which can be many times larger,
-    minus the effort. The known part, added at the end, is nothing that the value's network would have to learn.
-    """
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode."""
-        features, info = self.env.reset(seed=seed, options=options)
-        self._known = compute_potential(*cast(ResidualEnv, self.unwrapped).parallel.bounds)
-        return features, info
-
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step; an end at the horizon is reported as terminated."""
-        features, reward, terminated, truncated, info = self.env.step(action)
-        decided = bool(info.get("decided", False))
-        reward = float(reward) + (self._known if decided else 0.0)
-        return features, reward, terminated or decided, truncated and not decided, info
-
-
-def _make_env(scenario: Scenario, suite: str, plan: Plan | None, apart: bool) -> DecidedEnds:
-    if apart:
-        # Stopping is the parent's to handle; without it, so does this process.
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
-        end_with_parent()
-    return DecidedEnds(ResidualEnv(scenario, suite, plan))
-
-
-def make_model(args: Args, envs: VecNormalize) -> BaseAlgorithm:
-    """Make a model that starts exactly at the expert.
-
-    Args:
-        args: arguments of the run.
-        envs: training environments.
-    """
-    steps = min(args.rollout, args.steps)  # a run shorter than a rollout still learns once
-    options = sb3.LearningOptions(args.hidden, args.learning_rate, steps, args.batch, args.log_std, args.seed)
-    model = sb3.make_model(args.algo, envs, options)
-    model.set_logger(
-        configure(str(args.out / "tensorboard") if args.log else None, ["tensorboard"] if args.log else [])
-    )
-    return model
+    suites, settings = args.suite or (DEFAULT_SUITE,), parse_settings(args.set)
+    check_names("suite", suites)
+    check_names("scenario", args.scenarios)
+    cases = [make_case(scenario, suite, settings) for scenario in args.scenarios for suite in suites]
+    for case in cases:
+        check_options(case.scenario, case.options, args.variant)
+    count, grounds, plans = args.worlds // len(cases), list[Ground](), dict[str, Any]()
+    for case in cases:
+        scenario, options = case.scenario, dict(case.options)
+        if not args.plan_anew and args.variant is None and "plan_anew" in list_options(scenario):
+            options.setdefault("plan_anew", False)
+        if has_planner(scenario) and scenario.name not in plans:
+            plans[scenario.name] = make_plan(scenario)
+        plan = plans.get(scenario.name)
+        worlds = ResidualVectorEnv(
+            scenario, count, plan=plan, options=options or None, threads=args.threads, variant=args.variant
+        )
+        grounds.append(Ground(make_source(scenario, case.suite, plan), worlds, 1.0, {}))
+    sizes = {(g.worlds.experts.feature_size, g.worlds.experts.correction_size): g.source.scenario for g in grounds}
+    if len(sizes) > 1:
+        names = " and ".join(sizes.values())
+        raise InputError(f"scenarios {names} have experts of different features or corrections: train them apart")
+    return grounds
 
 
 class Run:
     """What a run has learned so far, on tuning seeds and on disk.
 
     Args:
-        args: arguments of the run.
-        scenario: what is trained on.
-        plan: for the expert to follow, if it follows one.
-        model: to train; with ``args.resume`` the last checkpoint is put into it.
-        envs: training environments; they are seeded anew, from seed and steps.
+        args: arguments of the run; with ``args.resume`` the last checkpoint is loaded.
+        grounds: to train in.
+
+    Attributes:
+        model: that is trained.
+        statistics: of the expert's features.
+        iterations: so far.
+        evaluations: on tuning seeds, so far.
 
     Raises:
         InputError: the checkpoint does not fit the arguments.
     """
 
-    def __init__(
-        self, args: Args, scenario: Scenario, plan: Plan | None, model: BaseAlgorithm, envs: VecNormalize
-    ) -> None:
-        self._args, self._scenario, self._model, self._envs = args, scenario, model, envs
-        self._settings = _settings(args)
-        self._expert = make_expert(scenario.suite(args.suite), plan)
-        self._reference: pd.DataFrame | None = None
-        self.evaluations: list[dict[str, Any]] = []
+    def __init__(self, args: Args, grounds: list[Ground]) -> None:
+        self._args, self._grounds, self._settings = args, grounds, _settings(args)
+        experts = grounds[0].worlds.experts
+        options = LearningOptions(
+            args.hidden, args.learning_rate, args.batch, args.epochs, args.clip, args.entropy, args.target_kl,
+            args.log_std, args.seed,
+        )  # fmt: skip
+        self.model: PPO = make_model(experts.feature_size, experts.correction_size, options)
+        formats = ["tensorboard"] if args.log else []
+        self.model.set_logger(configure(str(args.out / "tensorboard") if args.log else None, formats))
+        self.iterations, self.evaluations = 0, list[dict[str, Any]]()
+        self.statistics: Statistics
         if args.resume:
             checkpoint = last_checkpoint(args.out)
             assert checkpoint is not None
-            self.evaluations = load_training(checkpoint, model, envs).evaluations
-            check_evaluations(checkpoint, self.evaluations)
-        state = np.random.SeedSequence([args.seed, model.num_timesteps]).generate_state(2)
-        set_random_seed(int(state[0]))
-        envs.seed(int(state[1]) % (TRAINING_SEEDS - args.n_envs))
-        write_json(args.out / "args.json", {"args": self._settings, "versions": read_versions()})
-        self.evaluate_if_due()
+            record, self.statistics = load_training(checkpoint, self.model)
+            check_evaluations(checkpoint, record.evaluations)
+            self.iterations, self.evaluations = record.iterations, record.evaluations
+            if len(record.scales) != len(grounds):
+                raise InputError(f"{checkpoint}: key 'scales': {len(record.scales)} of {len(grounds)} sources")
+            for ground, scale in zip(grounds, record.scales, strict=True):
+                ground.scale = scale
+        else:
+            self._meet_experts()
 
-    def evaluate_if_due(self) -> None:
-        """Play the tuning seeds and keep the policy if it is the best so far."""
-        steps, every = self._model.num_timesteps, self._args.eval_every
-        done = self.evaluations[-1]["steps"] if self.evaluations else -1
-        if every == 0 or done == steps:
-            return
-        if done < 0 or steps >= self._args.steps or steps // every > done // every:
-            policy = ResidualPolicy(self._expert, export_actor(self._model, self._envs).correction)
-            self.evaluations.append({"steps": steps, **self._compare(policy)})
-            if max(self.evaluations, key=_score) is self.evaluations[-1]:
-                self._save_policy(self._args.out)
+    @property
+    def best(self) -> dict[str, Any]:
+        """Return the evaluation of the kept policy; empty without any."""
+        return max(self.evaluations, key=lambda evaluation: evaluation["low"], default={})
 
-    def save(self) -> None:
+    def begin(self, watch: Watch) -> None:
+        """Evaluate and save the start of a new run."""
+        write_json(self._args.out / "args.json", {"args": self._settings, "versions": read_versions()})
+        watch.advance(self.model.num_timesteps)
+        if not self.evaluations and self.iterations == 0:
+            self._evaluate(watch)
+            self._save()
+
+    def iterate(self, watch: Watch) -> None:
+        """Play, learn, evaluate if it is time to, and save."""
+        start, args = time.perf_counter(), self._args
+        draw = self._seed()
+        scores, rows = [], []
+        for ground in self._grounds:
+            count = ground.worlds.num_envs
+            seeds = np.repeat(draw.integers(TRAINING_SEEDS, size=count // args.group), args.group)
+            played = play_episodes(ground.worlds, seeds, self._explore)
+            advantages = compute_advantages(compute_scores(played.robustness, ground.scale, args.worst), args.group)
+            scores.append(played)
+            rows.append((self.statistics.normalize(played.features), played.corrections, advantages[played.episode]))
+        features, corrections, advantages = (np.concatenate(part) for part in zip(*rows, strict=True))
+        seconds = time.perf_counter() - start
+        if len(corrections):
+            update(self.model, features, corrections, advantages)
+        self._check_finite()
+        self.iterations += 1
+        record = self.model.logger.record
+        record("episode/success", float(np.mean(np.concatenate([played.success for played in scores]))))
+        record("episode/robustness", float(np.median(np.concatenate([played.robustness for played in scores]))))
+        record("correction/filtered", float(np.mean([played.filtered for played in scores])))
+        record("time/corrections_per_second", len(corrections) / seconds)
+        watch.advance(self.model.num_timesteps)
+        last = self.model.num_timesteps >= args.steps
+        if args.eval_every and (last or self.iterations % args.eval_every == 0):
+            self._evaluate(watch)
+        self.model.logger.dump(self.model.num_timesteps)
+        self._save()
+
+    def report(self) -> dict[str, Any]:
+        """Judge the kept policy on seeds that it was not chosen on; empty without such seeds."""
+        if self._args.report_episodes == 0:
+            return {}
+        from agents.actor import load_policy
+
+        actor, _ = load_policy(self._args.out)
+        return self._judge(actor, REPORT_SEEDS, self._args.report_episodes)
+
+    def _meet_experts(self) -> None:
+        """Play the experts alone: for the statistics of their features, and the unit of each score."""
+        draw, features = self._seed(), []
+        for ground in self._grounds:
+            played = play_episodes(ground.worlds, draw.integers(TRAINING_SEEDS, size=ground.worlds.num_envs))
+            features.append(played.features)
+            ground.scale = max(abs(float(np.median(played.robustness))), 1e-3)
+        self.statistics = compute_statistics(np.concatenate(features))
+
+    def _seed(self) -> np.random.Generator:
+        """Seed all that the next iteration draws from; return the generator of its episodes' seeds."""
+        sequence = np.random.SeedSequence([self._args.seed, self.iterations])
+        set_random_seed(int(sequence.generate_state(1)[0]))
+        return np.random.default_rng(sequence)
+
+    def _explore(self, features: np.ndarray) -> np.ndarray:
+        return explore(self.model, self.statistics.normalize(features))
+
+    def _check_finite(self) -> None:
+        if not all(torch.isfinite(parameter).all() for parameter in self.model.policy.parameters()):
+            raise Diverged(
+                f"training diverged after {self.model.num_timesteps} corrections: weights are not finite; "
+                f"try a smaller learning_rate than {self._args.learning_rate}"
+            )
+
+    def _evaluate(self, watch: Watch) -> None:
+        """Play the tuning seeds, and keep the policy if it surely gains most so far."""
+        actor = export_actor(self.model, self.statistics)
+        found = self._judge(actor, TUNING_SEEDS, self._args.eval_episodes)
+        evaluation = {"iterations": self.iterations, "steps": self.model.num_timesteps, **found}
+        self.evaluations.append(evaluation)
+        if self.best is evaluation:
+            self._save_policy(self._args.out, actor)
+        for name in ("success_rate", "expert_success_rate", "gain", "low", "correction"):
+            self.model.logger.record(f"tuning/{name}", evaluation[name])
+        watch.say(describe_evaluation(evaluation))
+
+    def _judge(self, actor: Actor, first: int, episodes: int) -> dict[str, Any]:
+        """Pair a policy with the expert on some seeds of every ground."""
+        gains, sources, seeds = list[Gain](), [], np.arange(first, first + episodes)
+        for ground in self._grounds:
+            if first not in ground.reference:
+                ground.reference[first] = play_episodes(ground.worlds, seeds)
+            expert, played = ground.reference[first], play_episodes(ground.worlds, seeds, actor.correction)
+            gains.append(compute_gain(played, expert, self._args.worst * ground.scale, ground.scale))
+            sources.append({"scenario": ground.source.scenario, "suite": ground.source.suite, **asdict(gains[-1])})
+        return {**summarise_pairs(gains), "sources": sources}
+
+    def _save(self) -> None:
         """Write a checkpoint, all or nothing, and drop all but the last two."""
-        folder = self._args.out / "checkpoints" / f"{self._model.num_timesteps:08d}"
-        if not folder.exists():
-            partial = folder.with_name(f".{folder.name}")
+        folder = self._args.out / "checkpoints" / f"{self.iterations:06d}"
+        partial, actor = folder.with_name(f".{folder.name}"), export_actor(self.model, self.statistics)
+        for rest in (partial, folder):
+            shutil.rmtree(rest, ignore_errors=True)
+        try:
+            self._save_policy(partial, actor)
+            scales = [ground.scale for ground in self._grounds]
+            save_training(
+                partial, self.model, self.statistics, self.iterations, scales, self._settings, self.evaluations
+            )
+            partial.rename(folder)
+        finally:
             shutil.rmtree(partial, ignore_errors=True)
-            try:
-                self._save_policy(partial)
-                save_training(partial, self._model, self._envs, self._settings, self.evaluations)
-                partial.rename(folder)
-            finally:
-                shutil.rmtree(partial, ignore_errors=True)
         if self._args.eval_every == 0:
-            self._save_policy(self._args.out)
+            self._save_policy(self._args.out, actor)
         for old in sorted(folder.parent.glob("[0-9]*"))[:-2]:
             shutil.rmtree(old)
 
-    def _save_policy(self, folder: Path) -> None:
-        actor, args = export_actor(self._model, self._envs), self._args
+    def _save_policy(self, folder: Path, actor: Actor) -> None:
+        experts = self._grounds[0].worlds.experts
         record = PolicyRecord(
-            scenario=self._scenario.name,
-            domain=self._scenario.domain,
-            suite=args.suite,
-            algorithm=args.algo,
-            feature_size=self._expert.feature_size,
-            correction_size=self._expert.correction_size,
-            hidden=args.hidden,
-            squash=actor.squash,
+            domain=self._grounds[0].worlds.scenario.domain,
+            sources=tuple(ground.source for ground in self._grounds),
+            variant=self._args.variant,
+            algorithm="ppo",
+            feature_size=experts.feature_size,
+            correction_size=experts.correction_size,
+            hidden=self._args.hidden,
             feature_clip=actor.feature_clip,
-            seed=args.seed,
-            steps=self._model.num_timesteps,
+            seed=self._args.seed,
+            steps=self.model.num_timesteps,
             training=self._settings,
             versions=read_versions(),
         )
         save_policy(folder, actor, record)
 
-    def _compare(self, policy: ResidualPolicy) -> dict[str, Any]:
-        """Play the tuning seeds and pair them with the expert's, which are played once."""
-        if self._reference is None:
-            self._reference = self._play(self._expert)
-        played = self._play(policy)
-        paired = played.merge(self._reference, on="seed", suffixes=("_a", "_b"))
-        successes = int(played["success"].sum())
-        return {
-            "success_rate": successes / len(played),
-            "success_ci": list(compute_wilson_interval(successes, len(played))),
-            "robustness_median": float(played["robustness"].median()),
-            "expert_success_rate": float(self._reference["success"].mean()),
-            "expert_robustness_median": float(self._reference["robustness"].median()),
-            **compare_pairs(paired),
-        }
 
-    def _play(self, policy: Policy) -> pd.DataFrame:
-        env = parallel_env(self._scenario.suite(self._args.suite))
-        seeds = range(TUNING_SEEDS, TUNING_SEEDS + self._args.eval_episodes)
-        episodes = [rollout(env, policy, seed) for seed in seeds]
-        return pd.DataFrame({"seed": e.seed, "success": e.success, "robustness": e.robustness} for e in episodes)
+def compute_scores(robustness: np.ndarray, scale: float, worst: float) -> np.ndarray:
+    """Return what an episode is worth to the learner: max(rho / scale, -worst), shape (E,).
+
+    Args:
+        robustness: rho, shape (E,) [m].
+        scale: unit [m].
+        worst: a failure counts no more than this.
+    """
+    return np.maximum(robustness / scale, -worst)
 
 
-def _score(evaluation: dict[str, Any]) -> tuple[float, float]:
-    """Order evaluations: success first, then the paired gain over the expert."""
-    return evaluation["success_rate"], evaluation["difference_median"]
+def describe_evaluation(evaluation: dict[str, Any]) -> str:
+    """Return an evaluation as a line for people."""
+    return (
+        f"{evaluation['steps']:>7,} corrections: success {100 * evaluation['success_rate']:.1f} % "
+        f"(expert {100 * evaluation['expert_success_rate']:.1f} %), gain {evaluation['gain']:+.4f} m "
+        f"(surely {evaluation['low']:+.4f})"
+    )
 
 
 def _settings(args: Args) -> dict[str, Any]:
@@ -381,4 +445,4 @@ def _plain(value: Any) -> Any:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args))
+    run_script(main, Args)

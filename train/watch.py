@@ -1,108 +1,72 @@
-"""Watch a training run: a bar, its episodes in the log, a stop on request, and an end where it diverges."""
+"""Show a training run's progress, and run a training script with the exit codes of every command."""
 
 from __future__ import annotations
 
-import signal
-import threading
-import traceback
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
-import torch
+import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
 
+from impact_envs.errors import InputError
+from planners.errors import PlanningError
 from train.evaluation.errors import Diverged
 
-
-class EpisodeLog(BaseCallback):
-    """Log finished episodes, move the bar, and end learning when asked to.
-
-    Args:
-        stopping: set to end after the present step.
-        advance: called with the number of corrections answered.
-    """
-
-    def __init__(self, stopping: threading.Event, advance: Callable[[int], None]) -> None:
-        super().__init__()
-        self._stopping, self._advance = stopping, advance
-
-    def _on_step(self) -> bool:
-        self._advance(self.num_timesteps)
-        for info in self.locals["infos"]:
-            if "robustness" in info:
-                self.logger.record_mean("episode/robustness", info["robustness"])
-                self.logger.record_mean("episode/success", float(info["success"]))
-        return not self._stopping.is_set()
+A = TypeVar("A")
 
 
-def learn(model: BaseAlgorithm, steps: int, callback: BaseCallback | None = None) -> None:
-    """Go on learning.
+class Watch:
+    """A bar and lines above it on standard error.
 
     Args:
-        model: to train.
-        steps: corrections to answer.
-        callback: called at every step.
-
-    Raises:
-        Diverged: the weights, or what they predict, are no longer finite.
+        bar: of rich.
+        task: of the bar.
     """
-    try:
-        model.learn(steps, callback, log_interval=1, reset_num_timesteps=False)
-        finite = all(torch.isfinite(parameter).all() for parameter in model.policy.parameters())
-    except ValueError as error:
-        frame, _ = list(traceback.walk_tb(error.__traceback__))[-1]
-        if not frame.f_globals["__name__"].startswith("torch.distributions"):  # they refuse what is not finite
-            raise
-        finite = False
-    if not finite:
-        raise Diverged(
-            f"training diverged after {model.num_timesteps} corrections: weights or predictions are not finite; "
-            f"try a smaller learning_rate than {model.learning_rate}"
-        )
+
+    def __init__(self, bar: Progress, task: Any) -> None:
+        self._bar, self._task = bar, task
+
+    def advance(self, steps: int) -> None:
+        """Move the bar to a number of corrections answered."""
+        self._bar.update(self._task, completed=steps)
+
+    def say(self, line: str) -> None:
+        """Write a line above the bar."""
+        if not self._bar.disable:
+            self._bar.console.print(line, highlight=False, soft_wrap=True)
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[threading.Event]:
-    """Turn the first Ctrl-C or SIGTERM into a request to stop; the second one acts as usual.
-
-    Yields:
-        An event, set once a stop is asked for; never outside the main thread, which alone receives signals.
-    """
-    stopping = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stopping
-        return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def _stop(number: int, frame: Any) -> None:
-        stopping.set()
-        signal.signal(number, before[signal.Signals(number)])
-
-    for number in before:
-        signal.signal(number, _stop)
-    try:
-        yield stopping
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextmanager
-def show_progress(total: int, shown: bool) -> Iterator[Callable[[int], None]]:
+def show_progress(total: int, shown: bool) -> Iterator[Watch]:
     """Show a bar on standard error.
 
     Args:
         total: corrections in the whole run.
-        shown: whether there is a bar at all.
-
-    Yields:
-        A function to be called with the number of corrections answered.
+        shown: whether anything is shown at all.
     """
     columns = (TextColumn("training"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), disable=not shown) as bar:
-        task = bar.add_task("", total=total)
-        yield lambda steps: bar.update(task, completed=steps)
+        yield Watch(bar, bar.add_task("", total=total))
+
+
+def run_script(main: Callable[[A], dict[str, Any]], args: type[A]) -> None:
+    """Run a training script from the command line and exit as `impact` does.
+
+    Args:
+        main: of the script; its result is printed.
+        args: class of its arguments.
+    """
+    try:
+        print(main(tyro.cli(args)))
+    except InputError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+    except (PlanningError, Diverged) as error:
+        print(error, file=sys.stderr)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("interrupted; what was finished is kept", file=sys.stderr)
+        sys.exit(130)

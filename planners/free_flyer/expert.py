@@ -33,6 +33,7 @@ from planners.free_flyer.closed_loop.world_loop import (
     START,
     run_experts,
 )
+from planners.free_flyer.next_impact.correction import CORRECTION_SIZE
 from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
 from planners.free_flyer.tracking.problem import build_tracking_problem
@@ -106,7 +107,7 @@ class FreeFlyerExpert:
     Source: Verhagen & Tumova, Secs. VI and VII.
     """
 
-    correction_size = 2
+    correction_size = CORRECTION_SIZE
     feature_size = FEATURES
 
     def __init__(
@@ -198,10 +199,11 @@ class FreeFlyerExpert:
     def correct(self, correction: np.ndarray) -> None:
         """Set the correction of the coming impact; then look whether another object's is due in this step, too.
 
-        The desired velocity change of the object is multiplied by exp(0.5 c_0) and turned by 0.3 c_1 rad.
+        The desired velocity change of the object is multiplied by exp(0.5 c_0) and turned by 0.3 c_1 rad, and the
+        impact comes 2 c_2 s later; less, where that promises less than the expert's own aim, see `correction`.
 
         Args:
-            correction: c in [-1, 1], shape (2,); zero changes nothing, bit for bit.
+            correction: c in [-1, 1], shape (3,); zero changes nothing, bit for bit.
 
         Raises:
             InputError: wrong shape, or no correction is awaited.
@@ -214,7 +216,7 @@ class FreeFlyerExpert:
         """Return what a learner may see of the coming impact (of the one a correction is awaited for, if any).
 
         Returns:
-            Shape (27,), see `features.write_features`. Zeros when no impact is to come.
+            Shape (45,), see `features.write_features`. Zeros when no impact is to come.
         """
         self._run(DESCRIBE)
         return self._features[0].copy()

@@ -33,6 +33,7 @@ from planners.free_flyer.closed_loop.world_loop import (
     run_experts,
 )
 from planners.free_flyer.expert import check_plan
+from planners.free_flyer.next_impact.correction import CORRECTION_SIZE
 from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
 from planners.free_flyer.tracking.protocol import Tracker
@@ -67,7 +68,7 @@ class FreeFlyerExpertBatch:
             is not a compiled one.
     """
 
-    correction_size = 2
+    correction_size = CORRECTION_SIZE
     feature_size = FEATURES
 
     def __init__(
@@ -145,7 +146,7 @@ class FreeFlyerExpertBatch:
         return self.awaiting_correction
 
     def features(self) -> np.ndarray:
-        """Return what a learner may see of every world, see `features.write_features`, shape (N, 27)."""
+        """Return what a learner may see of every world, see `features.write_features`, shape (N, 45)."""
         self._features = np.empty((self.count, self.feature_size))
         self._share(DESCRIBE)
         return self._features
@@ -155,7 +156,7 @@ class FreeFlyerExpertBatch:
 
         Args:
             worlds: that await one: a mask, shape (N,) bool, or their numbers, shape (m,).
-            corrections: clipped to [-1, 1], shape (m, 2); zero changes nothing, bit for bit.
+            corrections: clipped to [-1, 1], shape (m, 3); zero changes nothing, bit for bit.
 
         Returns:
             Which worlds await a correction, shape (N,) bool.

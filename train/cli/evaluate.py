@@ -10,8 +10,8 @@ from tyro.conf import Positional
 
 from impact_envs.errors import InputError
 from train.cli.plan import check_plan_options, load_plan
-from train.cli.settings import parse_settings
 from train.evaluation.case import EVALUATION_SEEDS, make_cases
+from train.settings import parse_settings
 
 
 @dataclass

@@ -13,9 +13,9 @@ from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from impact_envs.scenario import Scenario
 from train.cli.plan import check_plan_options, load_plan
-from train.cli.settings import parse_settings
 from train.evaluation.case import EVALUATION_SEEDS, check_settings, has_expert, make_case
 from train.pictures.file import check_picture_path
+from train.settings import parse_settings
 
 LEAST_FRAMES = 200  # of a film, so that a short episode is seen slowly
 

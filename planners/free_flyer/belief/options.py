@@ -134,8 +134,18 @@ class Aim:
     smallest: float = 1e-3  # and the preference for a short way [m]
     same_side: Cosine = 0.3  # cosine by which an impulse may turn from the planned normal without its robot going round
     other_side: float = 1.0  # how much less a way to the plan's end is worth where it has to [m]
-    scale_range: float = 0.5  # of the logarithm of the impulse, at a learner's correction of 1
-    rotation_range: float = 0.3  # of the impulse, at a learner's correction of 1 [rad]
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What a learner's correction of 1 changes, and how much of a correction is taken."""
+
+    scale: float = 0.5  # of the logarithm of the impulse
+    turn: float = 0.3  # of the impulse [rad]
+    shift: float = 2.0  # of the impact's time [s]
+    notice: float = 4.0  # from the decision to an impact that was moved, at least [s]
+    margin: float = 0.1  # by which a correction may promise less than the expert's own aim [m]
+    shares: Count = 8  # of a correction that promises less: the greatest that does not is taken
 
 
 @dataclass(frozen=True)
@@ -301,6 +311,7 @@ class Options:
         plan_anew: plan the rest in the background, with who hits what open, where that fails.
         respond: fly the responses of a plan that has any, while objects are in the boxes it promises.
         thrusters: learn how strong every thruster of a robot is, and command what gives the wanted force.
+        filter: take only so much of a learner's correction as promises hardly less than the expert's own aim.
         tracker: what follows the courses, a name of `tracking.trackers.TRACKERS`.
         weights: of the tracking cost; in the paper those of App. B.
     """
@@ -318,6 +329,7 @@ class Options:
     plan_anew: bool = True
     respond: bool = True
     thrusters: bool = True
+    filter: bool = True
     tracker: str = "mpc"
     weights: Weights = Weights()  # noqa: RUF009 - frozen
     estimation: Estimation = Estimation()
@@ -325,6 +337,7 @@ class Options:
     impact_parameters: ImpactParameters = ImpactParameters()
     timing: Timing = Timing()
     aim: Aim = Aim()
+    correction: Correction = Correction()
     reach: Reach = Reach()
     published: Published = Published()
     response: Response = Response()

@@ -98,6 +98,7 @@ STRIKE = np.dtype(
         ("is_decided", bool),  # its correction was asked for
         ("scale", float),  # correction of the impulse's size, in [-1, 1]
         ("turn", float),  # correction of the impulse's direction, in [-1, 1]
+        ("shift", float),  # correction of its time, in [-1, 1]
         ("reference_normal", float, 2),  # direction of the impulse as planned, a unit vector
         # The solution of its two-body problem.
         ("is_solved", bool),
@@ -146,8 +147,13 @@ HIT = np.dtype(
         ("latest", float, 2),  # velocity of the object a control period ago [m/s]
         ("aim", float, 2),  # velocity of the object after it that was asked for [m/s]
         ("commanded", float),  # change of the object's velocity that was asked for [m/s]
-        ("ratio", float),  # observed over commanded change, 0 before any
-        ("seen", int),  # number of impacts whose ratio was observed
+        ("direction", float, 2),  # of that change, a unit vector
+        # Observed change along that and across it, to the left, over the commanded one's size: of this impact once it
+        # is seen, and of the one before.
+        ("observed", float, 2),
+        ("earlier", float, 2),
+        ("is_seen", bool),  # whether this impact's change was observed
+        ("seen", int),  # number of impacts whose change was
         ("gained", float),  # change of the object's velocity along the normal [m/s]
         ("gained_variance", float),  # 0 before it is seen [m^2/s^2]
         ("learned_at", float),  # when it was seen [s]
@@ -191,6 +197,7 @@ COUNTERS = (
     "detours",
     "responded",
     "withdrawn",
+    "filtered",
 )
 COUNTS = np.dtype([(name, np.int64) for name in COUNTERS])
 # Assigning one of these clears a record.

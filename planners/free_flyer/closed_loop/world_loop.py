@@ -35,6 +35,7 @@ from planners.free_flyer.next_impact.bookkeeping import (
     take_contact,
     take_misses,
 )
+from planners.free_flyer.next_impact.correction import take_correction
 from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, is_answered, is_promised, is_settled
 from planners.free_flyer.next_impact.insertion import insert_impact
 from planners.free_flyer.next_impact.reoptimisation import reoptimise_rest
@@ -155,11 +156,12 @@ def correct_impact(
     """Take the correction that is given for object o's coming impact; return the object whose correction is due next.
 
     Args:
-        corrections: in [-1, 1], shape (N, 2); NaN where none is given, and o's stays due.
+        corrections: in [-1, 1], shape (N, 3); NaN where none is given, and o's stays due.
     """
     if math.isnan(corrections[k, 0]):
         return o
-    memory.strike[k, o].scale, memory.strike[k, o].turn = corrections[k, 0], corrections[k, 1]
+    scale, turn, shift = corrections[k]
+    take_correction(plan, memory, options, k, o, (scale, turn, shift))
     return decide_impact(plan, memory, options, k, o)
 
 

@@ -97,7 +97,8 @@ def await_impact(
     """Make a planned impact, or none (NO_IMPACT), the coming one of object o."""
     strike = memory.strike[k, o]
     strike.index, strike.is_inserted, strike.misses, strike.replanned_at = index, False, 0, -math.inf
-    strike.scale, strike.turn, strike.is_decided, strike.is_solved = 0.0, 0.0, False, False
+    strike.scale = strike.turn = strike.shift = 0.0
+    strike.is_decided, strike.is_solved = False, False
     strike.robot, strike.time, strike.due, strike.astray_since = NO_ROBOT, math.inf, math.inf, math.inf
     if index != NO_IMPACT:
         strike.robot, strike.reference_normal = plan.impact[index].robot, plan.impact[index].normal
@@ -200,6 +201,9 @@ def take_contact(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
         return
     if strike.is_solved:
         hit.is_pending, hit.time, hit.robot, hit.commanded = True, now, r, strike.change
+        if hit.is_seen:
+            hit.earlier = hit.observed
+        hit.direction, hit.is_seen = strike.normal, False
         hit.is_answered, hit.aim = strike.is_answered, strike.object_plus
         hit.before, hit.contact = hit.latest, memory.felt[k, r]
         hit.watched_at, hit.thrust, hit.learned_at = now, 0.0, -math.inf
@@ -266,8 +270,11 @@ def learn_from_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: i
         change = velocity - complex(hit.before[0], hit.before[1]) - drift * flight
         x, y = change.real, change.imag
         if hit.commanded > 0.0:
-            hit.seen += 1 if hit.ratio == 0.0 else 0
-            hit.ratio = math.hypot(x, y) / hit.commanded
+            if not hit.is_seen:
+                hit.is_seen, hit.seen = True, hit.seen + 1
+            nx, ny = hit.direction
+            hit.observed[0] = (x * nx + y * ny) / hit.commanded
+            hit.observed[1] = (y * nx - x * ny) / hit.commanded
         if options.learn and now >= hit.learned_at + options.timing.learn_period - ROUND_OFF:
             nx, ny = hit.contact.normal[0], hit.contact.normal[1]
             hit.contact.lever = compute_lever(z, body.gyration, hit.contact.angle, nx, ny)

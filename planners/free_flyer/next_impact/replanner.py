@@ -13,6 +13,7 @@ from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.surroundings import measure_gap
 from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
 from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time, withdraw_impact
+from planners.free_flyer.next_impact.correction import correct_change
 from planners.free_flyer.next_impact.desired_velocity import (
     ROUND_OFF,
     choose_desired_velocity,
@@ -42,9 +43,7 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     if options.drift and not strike.is_answered:
         hasten_next_knot(plan, memory, options, k, o)
     wish = choose_desired_velocity(plan, memory, options, k, o)
-    scale, angle = math.exp(options.aim.scale_range * strike.scale), options.aim.rotation_range * strike.turn
-    cos, sin, dx, dy = math.cos(angle), math.sin(angle), wish[0] - vx, wish[1] - vy
-    dx, dy = scale * (cos * dx - sin * dy), scale * (sin * dx + cos * dy)
+    dx, dy = correct_change(options, strike.scale, strike.turn, wish[0] - vx, wish[1] - vy)
     dx, dy, distance = turn_to_centre(plan, memory, options, k, o, time - now, dx, dy)
     if options.walls and distance == plan.body[body].radius:
         dx, dy = turn_off_walls(plan, options, r, body, x, y, dx, dy)

@@ -49,9 +49,12 @@ def retime_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     """Move the coming impact of object o to when the object is nearest to where it should be hit.
 
     min_t |x_O(t) - P_k|^2 + 20 max(0, crowding - margin_k(x_O(t)))^2 + 1e-5 (t - t_k)^2
+
+    A learner's shift comes on top.
     """
     strike = memory.strike[k, o]
-    index, old = strike.index, strike.time
+    shift = options.correction.shift * strike.shift
+    index, old = strike.index, strike.time - shift
     latest = min(plan.knot[index].closes, max(compute_reserve(plan, memory, options, k, o, index), old))
     notice = options.retiming.frozen
     r = strike.robot
@@ -80,6 +83,8 @@ def retime_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         if miss < best:
             best, time = miss, t
     if abs(time - old) > ROUND_OFF:
+        if shift != 0.0:
+            time = min(max(time + shift, earliest), latest)
         memory.counts[k].retimed += 1
         set_time(plan, memory, k, o, index, time)
         set_clocks(plan, memory, options, k, now)

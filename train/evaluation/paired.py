@@ -1,0 +1,102 @@
+"""What a policy gains over its expert on the same seeds, from episodes of many worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+# Of a one-sided confidence of 95 %: a gain is above its lower bound in 19 of 20 sets of seeds.
+QUANTILE = 1.645
+
+
+class Outcomes(Protocol):
+    """Episodes with their ends, shape (E,) each."""
+
+    @property
+    def robustness(self) -> np.ndarray: ...
+    @property
+    def success(self) -> np.ndarray: ...
+    @property
+    def corrections(self) -> np.ndarray: ...
+    @property
+    def filtered(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class Gain:
+    """A policy beside its expert on E seeds.
+
+    Attributes:
+        episodes: E.
+        success_rate, expert_success_rate: of all episodes.
+        robustness, expert_robustness: interquartile means [m].
+        gain: mean difference of robustness, failures cut [m].
+        error: standard error of that [m].
+        scale: unit in which gains of different scenarios are averaged [m].
+        correction: mean size of the corrections.
+        filtered: share of them that the expert did not take whole.
+    """
+
+    episodes: int
+    success_rate: float
+    expert_success_rate: float
+    robustness: float
+    expert_robustness: float
+    gain: float
+    error: float
+    scale: float
+    correction: float
+    filtered: float
+
+
+def compute_gain(played: Outcomes, expert: Outcomes, worst: float, scale: float) -> Gain:
+    """Pair a policy's episodes with the expert's of the same seeds.
+
+    Args:
+        played, expert: episodes in the same order of seeds.
+        worst: a robustness below minus this counts as that [m].
+        scale: see Gain [m].
+    """
+    difference = np.maximum(played.robustness, -worst) - np.maximum(expert.robustness, -worst)
+    return Gain(
+        episodes=len(difference),
+        success_rate=float(np.mean(played.success)),
+        expert_success_rate=float(np.mean(expert.success)),
+        robustness=compute_interquartile_mean(played.robustness),
+        expert_robustness=compute_interquartile_mean(expert.robustness),
+        gain=float(np.mean(difference)),
+        error=float(np.std(difference, ddof=1) / np.sqrt(len(difference))),
+        scale=scale,
+        correction=float(np.mean(np.abs(np.clip(played.corrections, -1.0, 1.0)))) if len(played.corrections) else 0.0,
+        filtered=played.filtered,
+    )
+
+
+def summarise_pairs(gains: Sequence[Gain]) -> dict[str, Any]:
+    """Average gains over scenarios and suites, each in its unit, and say how much is sure.
+
+    Args:
+        gains: of each.
+
+    Returns:
+        ``gain`` and its lower bound ``low``, in metres of the mean unit; ``success_rate``, ``expert_success_rate``,
+        ``correction`` and ``filtered``.
+    """
+    unit = float(np.mean([gain.scale for gain in gains]))
+    mean = float(np.mean([gain.gain / gain.scale for gain in gains]))
+    error = float(np.sqrt(np.sum([(gain.error / gain.scale) ** 2 for gain in gains]))) / len(gains)
+    names = ("success_rate", "expert_success_rate", "correction", "filtered")
+    means = {name: float(np.mean([getattr(gain, name) for gain in gains])) for name in names}
+    return {"gain": unit * mean, "low": unit * (mean - QUANTILE * error), **means}
+
+
+def compute_interquartile_mean(values: np.ndarray) -> float:
+    """Return the mean of the middle half of some values, shape (n,).
+
+    Source: Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice" (2021).
+    """
+    cut = len(values) // 4
+    return float(np.mean(np.sort(values)[cut : len(values) - cut]))
