@@ -318,6 +318,7 @@ class Batch(BatchViews):
             felt=contacts if ideal else np.zeros_like(contacts),
             monitor=np.zeros((count, self._formula.size), dtype),
             bounds=np.zeros((count, 2), dtype),
+            conjuncts=np.zeros((count, 2 * len(self.scenario.specification.conjuncts())), dtype),
             outcome=np.zeros(count, dtype),
             potential=np.zeros(count, dtype),
             spare=np.zeros((count, self._formula.size if predicts else 0), dtype),

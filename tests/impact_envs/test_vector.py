@@ -143,7 +143,7 @@ def test_world_k_is_the_single_environment_with_seed_plus_k_bit_for_bit(name, su
 
 
 def observe_apart(env):
-    return list(env.parallel.task.observe(env.parallel.time, env.parallel.bounds).values())
+    return list(env.parallel.task.observe(env.parallel.time, env.parallel.conjuncts).values())
 
 
 def test_robustness_at_the_end_is_that_of_the_whole_recorded_episode():

@@ -205,9 +205,9 @@ def make_observations(states, contacts, fraction, low, high):
     joint = np.full((worlds, make_joint_layout(SCENARIO).size), np.nan)
     own = np.full((worlds, ROBOTS, make_layout(SCENARIO, SCENARIO.agents[0]).size), np.nan)
     for k in range(worlds):
-        write_joint_observation(k, states, contacts, fraction, low, high, joint)
+        write_joint_observation(k, states, contacts, fraction, np.tile([low, high], (worlds, 1)), joint)
         for agent in range(ROBOTS):
-            write_agent_observation(k, agent, joint, own)
+            write_agent_observation(k, agent, BODIES, joint, own)
     return joint, own
 
 
