@@ -76,9 +76,8 @@ class Memory(NamedTuple):
         bounds: interval of robustness still possible, shape (N, 2) [m].
         conjuncts: the same of every conjunct of the formula, shape (N, 2 conjuncts) [m].
         outcome: the robustness if the episode ended now, ties marked (``verdict.py``), shape (N,) [m].
-        potential: of reward "progress", shape (N,) [m].
-        spare, flown: where it is predicted, of the shapes of ``monitor`` and ``signals``; no columns
-            without it.
+        potential: of reward "progress", shape (N, 1), or no column without it [m].
+        spare, flown: where it is predicted, of the shapes of ``monitor`` and ``signals``, or no columns.
     """
 
     states: np.ndarray
@@ -148,10 +147,10 @@ def step_task(
     if rules.flight.every == 0:
         team = compute_team_reward(before, after, over)
     else:
-        potential = memory.potential[k]
+        potential = memory.potential[k, 0]
         if over or worlds.counter[k, HITS] > 0 or steps % rules.flight.every == 0:
             predict(formula, rules, memory, k, steps)
-        team = compute_progress_reward(potential, memory.potential[k], after[0], over)
+        team = compute_progress_reward(potential, memory.potential[k, 0], after[0], over)
     for i in range(arena.robots):
         output.rewards[k, i] = compute_reward(team, arena.robots, compute_effort(actions[k, i]))
     observe(worlds, sensing, rules, memory, output, k)
@@ -186,8 +185,8 @@ def fail_task(
     if rules.flight.every == 0:
         team = compute_team_reward(before, (-rules.diagonal, -rules.diagonal), True)
     else:
-        team = compute_progress_reward(memory.potential[k], -rules.diagonal, -rules.diagonal, True)
-        memory.potential[k] = -rules.diagonal
+        team = compute_progress_reward(memory.potential[k, 0], -rules.diagonal, -rules.diagonal, True)
+        memory.potential[k, 0] = -rules.diagonal
     for i in range(arena.robots):
         output.rewards[k, i] = compute_reward(team, arena.robots, compute_effort(actions[k, i]))
     worlds.counter[k, HITS] = 0
@@ -241,7 +240,7 @@ def predict(formula: CompiledFormula, rules: Rules, memory: Memory, k: int, coun
     """Renew the potential of world k, whose last sample has this number."""
     room = memory.monitor, memory.spare, memory.signals, memory.flown
     found = predict_robustness(formula, rules.flight, *room, k, count, memory.bounds[k, 0])
-    memory.potential[k] = max(-rules.diagonal, min(rules.diagonal, found))
+    memory.potential[k, 0] = max(-rules.diagonal, min(rules.diagonal, found))
 
 
 @inlined
