@@ -9,7 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.utils import seeding
-from pettingzoo import ParallelEnv
+from pettingzoo import AECEnv, ParallelEnv
+from pettingzoo.utils.conversions import parallel_to_aec
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError, ResetNeeded, check_count, choices
@@ -48,6 +49,7 @@ class Task(Protocol):
 
     scenario: Any
     action_spaces: Mapping[str, Box]
+    action_elements: Mapping[str, Sequence[str]]  # of each agent, with what an element of 1 is: "torque [0.5 N m]"
     observation_spaces: Mapping[str, Box]
     joint_observation_space: Box
     layouts: Mapping[str, Layout]
@@ -115,7 +117,8 @@ class ImpactEnv(ParallelEnv):
     simulation fails: a state is not finite, or impacts do not end within a control period. The observation is then the
     last sample, the robustness minus the world's diagonal, and ``failure`` of the infos says what happened.
 
-    ``infos[agent]`` carries ``overflow`` (1 where impacts did not end within the control period),
+    ``infos[agent]`` carries ``overflow`` (1 where impacts did not end within the control period), ``is_success``
+    (whether the formula holds for certain by now, whatever follows; at the end ``success``),
     ``robustness_lower``, ``robustness_upper``, both clipped to the world's diagonal; at the end
     also ``robustness``, not clipped, and ``success`` of the whole formula on the true signals. ``success`` is whether
     the formula holds: robustness above zero, or exactly zero where its predicates hold at equality (``in``, ``<=``,
@@ -172,11 +175,14 @@ class ImpactEnv(ParallelEnv):
         self.lasting_contacts: list[LastingContact] = []  # of the last control period; free-flyers alone have them
         self.impulse = 0.0  # propulsion spent since reset
         self.failure: SimulationFailed | None = None  # that ended the episode
+        self.infos: dict[str, Any] = {}  # what every agent was told last
         self._rng: np.random.Generator | None = None
         self._renderer: Any = None
+        self.caption = ""  # over pictures; the scenario's name where nobody says more
+        self.speed: float | None = None  # time shown in one second of a film, written into its pictures
         self._trailed: list[str] = []  # bodies whose path is drawn
-        self._track: list[dict[str, tuple[float, float, float]]] = []  # poses of every step, kept for rendering
-        self._marks: list[Impact] = []
+        self._track = np.zeros((0, 0, 3))  # poses of every step, kept for rendering
+        self._marks: list[tuple[Impact, list[tuple[float, float, float, float]]]] = []
 
     def observation_space(self, agent: str) -> Box:
         """Return the agent's observation space, the same object at every call."""
@@ -225,9 +231,11 @@ class ImpactEnv(ParallelEnv):
         self.bounds = self._watch()
         self.conjuncts = self._clip_conjuncts()
         self._potential = self._predict()
-        self._track, self._marks = [], []
+        self._marks = []
         self._remember()
-        return self.task.observe(0.0, self.conjuncts), self._infos()
+        infos = self._infos()
+        self.infos = next(iter(infos.values()))
+        return self.task.observe(0.0, self.conjuncts), infos
 
     def step(
         self, actions: Mapping[str, np.ndarray]
@@ -254,7 +262,7 @@ class ImpactEnv(ParallelEnv):
             self._check_started("step")
             raise ResetNeeded("step after the end of the episode: call reset first")
         controls = self.task.controls(actions)
-        before, potential = self.bounds, self._potential
+        before, signals, potential = self.bounds, self.signals, self._potential
         self._advance(controls)
         self.steps += 1
         self.impulse += self.task.impulse(controls)
@@ -266,7 +274,7 @@ class ImpactEnv(ParallelEnv):
         else:
             self.bounds = (-self._limit, -self._limit)
             self.conjuncts = [-self._limit] * len(self.conjuncts)
-        self._remember()
+        self._remember(signals)
         failed = self.failure is not None
         over = failed or self.steps >= min(self.max_cycles, self._last)
         agents = self.agents
@@ -278,6 +286,7 @@ class ImpactEnv(ParallelEnv):
             team = compute_progress_reward(potential, self._potential, self.bounds[0], over)
         rewards = {agent: compute_reward(team, len(agents), self.task.effort(actions[agent])) for agent in agents}
         observations, infos = self.task.observe(self.time, self.conjuncts), self._infos(over)
+        self.infos = infos[agents[0]]
         if over:
             self.agents = []
         if self.render_mode == "human":
@@ -320,24 +329,50 @@ class ImpactEnv(ParallelEnv):
         self._check_started("render")
         if self.render_mode is None:
             return None
-        from impact_envs.render import Frame, Renderer
-
-        world = self.scenario.world
         if self._renderer is None:
+            self._renderer = self.make_renderer(self.render_mode)
+        return self._renderer.draw(self.make_frame(), last=not self.agents)
+
+    def make_renderer(self, mode: str, **options: Any) -> Any:
+        """Return what draws this world's frames.
+
+        Args:
+            mode: ``human`` or ``rgb_array``.
+            options: of `impact_envs.render.Renderer`, for example speed.
+        """
+        from impact_envs.picture.view import ARROW_SHARE, find_view
+        from impact_envs.render import Renderer
+
+        arrow = ARROW_SHARE * self.scenario.horizon
+        return Renderer(*find_view(self.scenario), self.task.shapes(), mode, arrow=arrow, **options)
+
+    def make_frame(self) -> Any:
+        """Return what is to be drawn of the present step; paths and impacts only with a ``render_mode``.
+
+        Raises:
+            ResetNeeded: before the first reset.
+        """
+        from impact_envs.picture.unit import find_unit
+        from impact_envs.render import Frame, Mark
+
+        self._check_started("make_frame")
+        bodies = self.scenario.bodies
+        if not self._trailed:
             shapes = self.task.shapes()
-            self._renderer = Renderer(world.lower, world.upper, shapes, self.render_mode)
             self._trailed = [shape.body for shape in shapes if shape.body is not None and shape.label]
-        frame = Frame(
+        past = self._track[: self.steps + 1]
+        return Frame(
             time=self.time,
-            poses=self._track[-1],
+            poses=dict(zip(bodies, self._list_poses(), strict=True)),
             chains=self.task.chains(self._states),
-            trails={body: np.array([step[body][:2] for step in self._track]) for body in self._trailed},
+            trails={body: past[:, bodies.index(body), :2] for body in self._trailed} if len(past) else {},
             plans=self.curves,
-            impacts=[(*mark.point, self.time - mark.time) for mark in self._marks],
+            impacts=[Mark(*mark.point, self.time - mark.time, changes) for mark, changes in self._marks],
             robustness=self.bounds,
-            caption=self.scenario.name,
+            unit=find_unit(self.scenario.specification),
+            caption=self.caption or self.scenario.name,
+            speed=self.speed,
         )
-        return self._renderer.draw(frame)
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -384,12 +419,30 @@ class ImpactEnv(ParallelEnv):
             return error
         raise error
 
-    def _remember(self) -> None:
-        if self.render_mode is not None:
-            s = self.signals
-            bodies = self.scenario.bodies
-            self._track.append({b: (s[f"{b}.x"], s[f"{b}.y"], s[f"{b}.heading"]) for b in bodies})
-            self._marks += self.impacts
+    def _list_poses(self) -> list[tuple[float, float, float]]:
+        s = self.signals
+        return [(s[f"{body}.x"], s[f"{body}.y"], s[f"{body}.heading"]) for body in self.scenario.bodies]
+
+    def _remember(self, before: Mapping[str, float] | None = None) -> None:
+        """Keep what pictures show of the past.
+
+        Args:
+            before: signals of the step before; a body's change of velocity in an impact is that of the whole step.
+        """
+        if self.render_mode is None:
+            return
+        if before is None:
+            self._track = np.empty((self._last + 1, len(self.scenario.bodies), 3))
+        self._track[self.steps] = self._list_poses()
+        s, bodies = self.signals, self.scenario.bodies
+        before = before or s
+        for impact in self.impacts:
+            changes = []
+            for body in (impact.a, impact.b):
+                if body in bodies:
+                    x, y, vx, vy = (f"{body}.{name}" for name in ("x", "y", "vx", "vy"))
+                    changes.append((before[x], before[y], s[vx] - before[vx], s[vy] - before[vy]))
+            self._marks.append((impact, changes))
 
     def _watch(self) -> tuple[float, float]:
         """Take the formula's sample; return the interval of robustness still possible, clipped."""
@@ -413,13 +466,25 @@ class ImpactEnv(ParallelEnv):
     def _infos(self, over: bool = False) -> dict[str, dict[str, Any]]:
         info: dict[str, Any] = {"robustness_lower": self.bounds[0], "robustness_upper": self.bounds[1]}
         info["overflow"] = int(isinstance(self.failure, TooManyEvents))
+        robustness, success = judge(compute_outcome(*self.monitor.ends, self._limit))
+        info["is_success"] = bool(success) and self.failure is None
         if over:
-            robustness, success = judge(compute_outcome(*self.monitor.ends, self._limit))
             decided = self.failure is not None or self.steps >= self._last
             info |= {"robustness": robustness, "success": success, "decided": decided}
         if self.failure is not None:
             info |= {"robustness": -self._limit, "success": False, "failure": str(self.failure)}
         return {agent: dict(info) for agent in self.agents}
+
+
+def aec_env(
+    scenario: str | Path | Scenario, render_mode: str | None = None, max_cycles: int | None = None
+) -> AECEnv[str, np.ndarray, np.ndarray]:
+    """Make the environment of a scenario in PettingZoo's other interface, in which agents act one after another.
+
+    Args:
+        scenario, render_mode, max_cycles: as parallel_env.
+    """
+    return parallel_to_aec(parallel_env(scenario, render_mode, max_cycles))
 
 
 def parallel_env(

@@ -1,39 +1,38 @@
-"""One renderer for every domain: frames in, a window, RGB arrays or a film out."""
+"""One renderer for every domain: frames in, a window or RGB arrays out."""
 
 from __future__ import annotations
 
-import io
 import os
-import sys
-from collections.abc import Sequence
-from contextlib import ExitStack, suppress
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from impact_envs.errors import InputError, choices
-from impact_envs.file import replace_file
-from impact_envs.painter import Frame, Painter
+from impact_envs.picture.film import SUFFIXES, Film
+from impact_envs.picture.frame import Frame, Mark
+from impact_envs.picture.painter import ARROW, Painter
+from impact_envs.picture.window import Window
 from impact_envs.shape import Shape
 
-if TYPE_CHECKING:
-    import pygame
+__all__ = ["MODES", "SUFFIXES", "Film", "Frame", "Mark", "Renderer"]
 
 MODES = ("human", "rgb_array")
-SUFFIXES = (".mp4", ".gif", ".png")
 
 
 class Renderer:
     """Show frames of one world in a window, or return them as arrays.
 
     Args:
-        world_lower: lower corner of the world box (x, y) [m].
-        world_upper: upper corner of the world box (x, y) [m].
+        lower: lower corner of what is shown of the world (x, y) [m].
+        upper: upper corner of it (x, y) [m].
         shapes: what the world and its bodies look like.
         mode: "human" shows a window, "rgb_array" returns arrays and needs no display.
         size: width and height of the picture [px]; None chooses them from the shape of the world.
         fps: most frames per second shown in a window.
+        speed: time shown in a window in one second; 1 is real time.
+        arrow: an arrow is as long as its change of velocity moves a body in this time [s].
+        on_key: called with the name of a key of which the window knows nothing, and whether it is pressed or let go.
 
     Raises:
         InputError: unknown mode, empty world, or a size too small to draw in.
@@ -41,25 +40,29 @@ class Renderer:
 
     def __init__(
         self,
-        world_lower: Sequence[float],
-        world_upper: Sequence[float],
+        lower: Sequence[float],
+        upper: Sequence[float],
         shapes: Sequence[Shape],
         mode: str = "rgb_array",
         size: tuple[int, int] | None = None,
         fps: float = 60.0,
+        speed: float = 1.0,
+        arrow: float = ARROW,
+        on_key: Callable[[str, bool], None] | None = None,
     ) -> None:
         if mode not in MODES:
             raise InputError(f"render mode '{mode}' is unknown: {choices(mode, MODES)}")
         os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # pygame greets on standard output
         self.mode = mode
-        self._painter, self._fps = Painter(world_lower, world_upper, shapes, size), fps
-        self._window: pygame.Surface | None = None
+        self._painter = Painter(lower, upper, shapes, size, arrow)
+        self._window = Window(self._painter.size, fps, speed, on_key) if mode == "human" else None
 
-    def draw(self, frame: Frame) -> np.ndarray | None:
-        """Draw one frame.
+    def draw(self, frame: Frame, last: bool = False) -> np.ndarray | None:
+        """Draw one frame; a window passes over one that would be seen too short.
 
         Args:
             frame: poses and overlays of this instant.
+            last: the window shows it in any case.
 
         Returns:
             A new array, shape (height, width, 3) uint8, in mode "rgb_array"; None in mode "human".
@@ -68,145 +71,22 @@ class Renderer:
             InputError: a body with a shape has no pose, or mode "human" finds no display.
             KeyboardInterrupt: the user closed the window.
         """
-        import pygame
-
+        if self._window is not None:
+            if last or self._window.is_due(frame.time):
+                self._window.show(self._painter.paint(replace(frame, speed=self._window.speed)), frame.time)
+            return None
         picture = self._painter.paint(frame)
-        if self.mode == "rgb_array":
-            return np.ascontiguousarray(pygame.surfarray.array3d(picture).swapaxes(0, 1))
-        self._show(picture)
-        return None
+        (width, height), rows = picture.get_size(), picture.get_pitch()
+        # One straight copy: a view with the axes as pygame has them would be copied pixel by pixel.
+        copy = np.array(picture.get_view("0"), dtype=np.uint8).reshape(height, rows)
+        return copy[:, : 3 * width].reshape(height, width, 3)
+
+    def hold(self, seconds: float) -> None:
+        """Leave the window as it is for a while, or until the user closes it."""
+        if self._window is not None:
+            self._window.hold(seconds)
 
     def close(self) -> None:
         """Close the window, if there is one; drawing again opens a new one."""
         if self._window is not None:
-            import pygame
-
-            pygame.display.quit()
-            self._window = None
-
-    def _show(self, picture: pygame.Surface) -> None:
-        import pygame
-
-        if self._window is None:
-            pygame.display.init()
-            if pygame.display.get_driver() == "offscreen":  # SDL's silent last resort
-                pygame.display.quit()
-                raise InputError("render mode 'human' finds no display; choices without one: rgb_array")
-            self._window, self._clock = pygame.display.set_mode(picture.get_size()), pygame.time.Clock()
-            pygame.display.set_caption("impact_envs")
-        if pygame.event.get(pygame.QUIT):
-            self.close()
-            raise KeyboardInterrupt("window closed")
-        self._window.blit(picture, (0, 0))
-        pygame.display.flip()
-        self._clock.tick(self._fps)
-
-
-class Film:
-    """Write frames to a file as they come; its suffix decides the format.
-
-    Args:
-        path: file to write: .mp4 (H.264), .gif (endless loop) or .png (the last frame).
-        fps: frames per second.
-
-    The end of a ``with`` statement closes it; an exception leaves no file.
-
-    Raises:
-        InputError: unknown suffix, or missing directory.
-    """
-
-    def __init__(self, path: str | Path, fps: float) -> None:
-        self.path, self._fps = Path(path), fps
-        self._file, self._encoded = ExitStack(), io.BytesIO()
-        self.suffix = self.path.suffix.lower()
-        self._writer: Any = None
-        self._last: np.ndarray | None = None
-        if self.suffix not in SUFFIXES:
-            raise InputError(f"video '{path}' has suffix '{self.path.suffix}': {choices(self.path.suffix, SUFFIXES)}")
-        if not self.path.parent.is_dir():
-            raise InputError(f"video '{path}': directory '{self.path.parent}' does not exist")
-
-    def add(self, picture: np.ndarray) -> None:
-        """Append a frame.
-
-        Args:
-            picture: shape (height, width, 3) uint8, of the same size every time.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
-        self._last = picture
-        if self.suffix != ".png":
-            try:
-                self._writer = self._writer or self._open()
-                self._writer.append_data(picture)
-            except BaseException:
-                self.__exit__(*sys.exc_info())
-                raise
-
-    def close(self) -> Path:
-        """Finish the file.
-
-        Returns:
-            The path written.
-
-        Raises:
-            InputError: no frame was added, or the file cannot be written.
-        """
-        if self._last is None:
-            raise InputError(f"video '{self.path}': there are no frames to write")
-        if self.suffix == ".png":
-            import imageio.v2 as imageio
-
-            with replace_file(self.path) as partial:
-                imageio.imwrite(partial, self._last)
-        elif self._writer is not None:
-            with self._file:
-                writer, self._writer = self._writer, None
-                writer.close()
-                if self.suffix == ".gif":
-                    self._partial.write_bytes(self._encoded.getvalue())
-                # The encoder is a process of its own, which tells nobody that the disk was full.
-                if self.suffix == ".mp4" and self._partial.is_file() and not _is_whole(self._partial):
-                    raise OSError("the encoder stopped early; is the disk full?")
-        return self.path
-
-    def __enter__(self) -> Film:
-        return self
-
-    def __exit__(self, *reason: Any) -> None:
-        if reason[0] is None:
-            self.close()
-            return
-        writer, self._writer = self._writer, None
-        if writer is not None:
-            with suppress(OSError):
-                writer.close()
-        self._file.__exit__(*reason)
-
-    def _open(self) -> Any:
-        import imageio.v2 as imageio
-
-        self._partial = self._file.enter_context(replace_file(self.path))
-        if self.suffix == ".gif":
-            # In memory: after a full disk, imageio would go on trying, and print every failure.
-            return imageio.get_writer(self._encoded, format=".gif", duration=1000.0 / self._fps, loop=0)
-        # H.264 wants even sides, which a macro block of 2 ensures.
-        return imageio.get_writer(self._partial, fps=self._fps, codec="libx264", quality=8, macro_block_size=2)
-
-
-def _is_whole(path: Path) -> bool:
-    """Return whether an MP4 file ends where its last box ends, and has the box that lists its frames."""
-    place, kinds, size = 0, set(), path.stat().st_size
-    with path.open("rb") as file:
-        while place < size:
-            file.seek(place)
-            head = file.read(16)
-            length = int.from_bytes(head[:4], "big")
-            if length == 1:  # a long box
-                length = int.from_bytes(head[8:16], "big")
-            if length < 8:
-                return False
-            kinds.add(head[4:8])
-            place += length
-    return place == size and b"moov" in kinds
+            self._window.close()

@@ -27,7 +27,7 @@ DTYPES = {"float64": np.float64, "float32": np.float32}
 DEVICES = ("cpu", "cuda")
 RENDER_MODES = ("rgb_array",)
 # Infos that are there at every call, and their masks, which are true of all worlds.
-VALUES = ("robustness_lower", "robustness_upper", "impacts", "overflow")
+VALUES = ("robustness_lower", "robustness_upper", "impacts", "overflow", "is_success")
 ALWAYS = (*VALUES, *(f"_{name}" for name in VALUES))
 
 
@@ -37,11 +37,12 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
     Action and observation spaces, rewards, starting state, episode end: as JointEnv.
 
     Observations, rewards and infos are fresh arrays at every call. ``infos`` carries ``robustness_lower``,
-    ``robustness_upper``, ``impacts`` (in the last control period) and ``overflow`` (1 where impacts did not end within
-    it) of every world; where an episode ended also ``robustness``, ``success`` and ``decided`` (nothing follows: the
-    horizon is reached, or the simulation failed), each with its mask, ``_robustness`` for example; where a simulation
-    failed also ``failure``, an array of texts, marked by ``_failure``; with autoreset in the same step ``final_obs``,
-    marked by ``_final_obs``, and ``final_info``, the infos of the end of all worlds.
+    ``robustness_upper``, ``impacts`` (in the last control period), ``overflow`` (1 where impacts did not end within
+    it) and ``is_success`` (the formula holds for certain by now) of every world; where an episode ended also
+    ``robustness``, ``success`` and ``decided`` (nothing follows: the horizon is reached, or the simulation failed),
+    each with its mask, ``_robustness`` for example; where a simulation failed also ``failure``, an array of texts,
+    marked by ``_failure``; with autoreset in the same step ``final_obs``, marked by ``_final_obs``, and
+    ``final_info``, the infos of the end of all worlds.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario.
@@ -254,19 +255,21 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             raise ResetNeeded("render before reset: call reset first")
         if self.render_mode is None:
             return None
+        from impact_envs.picture.unit import find_unit
+        from impact_envs.picture.view import find_view
         from impact_envs.render import Frame, Renderer
 
         scenario: Any = self.scenario
         batch = self.batch
         if self._renderer is None:
             shapes = find_part("impact_envs", scenario.domain, "TASK")(scenario).shapes()
-            self._renderer = Renderer(scenario.world.lower, scenario.world.upper, shapes, self.render_mode)
-        images = []
+            self._renderer = Renderer(*find_view(scenario), shapes, self.render_mode)
+        images, unit = [], find_unit(scenario.specification)
         for steps, states, bounds in zip(*(a.tolist() for a in (batch.steps, batch.states, batch.bounds)), strict=True):
             poses = {body: (s[0], s[1], s[4]) for body, s in zip(scenario.bodies, states, strict=True)}
             time = steps * scenario.control_period
             chains = batch.task.chains(np.array(states))
-            frame = Frame(time=time, poses=poses, chains=chains, robustness=tuple(bounds), caption=scenario.name)
+            frame = Frame(time, poses, chains, robustness=tuple(bounds), unit=unit, caption=scenario.name)
             images.append(self._renderer.draw(frame))
         return tuple(images)
 
@@ -291,7 +294,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         """Return the infos of all worlds; over says which episodes ended, if any did."""
         batch = self.batch
         low, high = _copy(batch.bounds.T)
-        values = (low, high, _copy(batch.impacts), _copy(batch.overflow), *_copy(self._masks))
+        values = (low, high, _copy(batch.impacts), _copy(batch.overflow), batch.outcome > 0, *_copy(self._masks))
         infos = dict(zip(ALWAYS, values, strict=True))
         if over is not None:
             robustness, success = judge(batch.outcome)

@@ -5,29 +5,31 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import Positional
 
 from impact_envs.domain import find_part
+from impact_envs.episode_file import check_episode_path
 from impact_envs.errors import InputError
 from impact_envs.scenario import Scenario
 from train.cli.plan import check_plan_options, load_plan
+from train.cli.progress import say_written
 from train.evaluation.case import EVALUATION_SEEDS, check_settings, has_expert, make_case
 from train.pictures.file import check_picture_path
 from train.settings import parse_settings
-
-LEAST_FRAMES = 200  # of a film, so that a short episode is seen slowly
 
 
 @dataclass
 class Command:
     """Run one episode."""
 
+    extras: ClassVar[tuple[str, ...]] = ("plan",)
     scenario: Positional[str]
     """Shipped name or TOML file."""
     policy: str = "expert"
-    """expert, oracle (told the truth), zero, random, a variant of the expert, a shipped policy or checkpoint folder."""
+    """expert, oracle (told the truth), zero, random, a variant of the expert, a shipped policy or checkpoint folder, or
+    MODULE:FACTORY of your own (module in the working folder, or a file: mine.py:make)."""
     seed: int = EVALUATION_SEEDS
     """Of the whole episode."""
     suite: str = "nominal"
@@ -42,8 +44,12 @@ class Command:
     """Fly a plan that breaks the impact law or a limit by too much."""
     render: str | None = None
     """human, or a file ending in .mp4, .gif or .png (the last frame)."""
+    speed: float | None = None
+    """Of a film or window, in times real time; default: 3, less for a short episode."""
     plot: Path | None = None
     """Draw the whole episode: a file ending in .png, .pdf or .svg."""
+    save: Path | None = None
+    """Write the trajectory, with actions, rewards and impacts: a file ending in .npz, .parquet or .csv."""
     json: bool = False
 
     def run(self) -> dict[str, Any]:
@@ -51,6 +57,7 @@ class Command:
         from impact_envs.env import parallel_env
         from impact_envs.rollout import rollout
         from train.evaluation.metrics import find_metrics, measure
+        from train.evaluation.own_policy import announce
         from train.evaluation.player import make_policy
 
         settings = parse_settings(self.set)
@@ -60,31 +67,35 @@ class Command:
         film = self._check(scenario)
         given = load_plan(self.plan, scenario, self.rename) if self.plan else None
         plan = given.admit(self.force) if given else None
+        announce((self.policy,))
         policy = make_policy(self.policy, scenario, plan, case.options)
         record = self._make_record(scenario, policy)
-        env = parallel_env(scenario, render_mode="rgb_array" if film else self.render)
+        env = parallel_env(scenario, render_mode="rgb_array" if film else None)
         env.curves |= _sample_curves(policy)
-        spacing = min(0.1, scenario.horizon / LEAST_FRAMES)
-        every = scenario.steps if film and film.suffix == ".png" else max(1, round(spacing / scenario.control_period))
+        if film:
+            env.caption, env.speed = film.caption, film.speed
 
         def watch(shown: Any) -> None:
             if record:
                 record.add(shown)
-            if film and (shown.steps % every == 0 or not shown.agents):
-                film.add(shown.render())
+            if film:
+                film.add(shown)
 
         with film or nullcontext():
             episode = rollout(env, policy, self.seed, on_step=watch)
         env.close()
         if self.plot:
             find_part("train", scenario.domain, "PICTURE")(record, episode, self.plot)
+        saved = episode.save(self.save) if self.save else ()
+        say_written(film and film.path, self.plot, *saved)
         figures = find_part("train", scenario.domain, "FIGURES")
         return (
-            _summarize(episode, self.suite)
+            _summarize(episode, scenario, self.suite)
             | {"set": settings}
             | measure(find_metrics(scenario.domain), episode, scenario, _find_plan(policy))
             | (figures(record, episode) if figures else {})
             | (given.describe() if given else {})
+            | _explain(episode, scenario, self.policy)
         )
 
     def _check(self, scenario: Scenario) -> Any:
@@ -98,24 +109,26 @@ class Command:
             check_picture_path(self.plot)
             if find_part("train", scenario.domain, "PICTURE") is None:
                 raise InputError(f"--plot {self.plot}: domain '{scenario.domain}' draws no picture of an episode")
-        return _open_film(self.render)
+        if self.save:
+            check_episode_path(self.save)
+        return self._open_viewer(scenario)
+
+    def _open_viewer(self, scenario: Scenario) -> Any:
+        """Return what shows the episode, None where nobody asks for it."""
+        from train.pictures.film import Viewer
+
+        if self.render is None:
+            if self.speed is not None:
+                raise InputError(f"--speed {self.speed:g}: shows nothing without --render")
+            return None
+        caption = f"{scenario.name} · {Path(self.policy).name} · suite {self.suite} · seed {self.seed}"
+        return Viewer(self.render, scenario, self.speed, caption)
 
     def _make_record(self, scenario: Scenario, policy: Any) -> Any:
         """Return what watches the episode, None where nobody asks it."""
         make = find_part("train", scenario.domain, "RECORD")
         asked = self.plot or find_part("train", scenario.domain, "FIGURES")
         return make(scenario, policy) if make and asked else None
-
-
-def _open_film(render: str | None) -> Any:
-    """Return the film that --render asks for, None for a window or nothing."""
-    from impact_envs.render import SUFFIXES, Film
-
-    if render is None or render == "human":
-        return None
-    if Path(render).suffix.lower() not in SUFFIXES:
-        raise InputError(f"--render {render}: choices: human, a file ending in {', '.join(SUFFIXES)}")
-    return Film(render, fps=30)
 
 
 def _find_plan(policy: Any) -> Any:
@@ -135,7 +148,14 @@ def _sample_curves(policy: Any) -> dict[str, Any]:
     return {name: np.array([curve.position(t) for t in times]) for name, curve in curves.items()}
 
 
-def _summarize(episode: Any, suite: str) -> dict[str, Any]:
+def _explain(episode: Any, scenario: Scenario, policy: str) -> dict[str, str]:
+    """Return why an episode of an expert ends without success where the published one does."""
+    outcomes = find_part("train", scenario.domain, "OUTCOMES") or {}
+    told = not episode.success and has_expert(policy) and episode.scenario in outcomes
+    return {"note": outcomes[episode.scenario]} if told else {}
+
+
+def _summarize(episode: Any, scenario: Scenario, suite: str) -> dict[str, Any]:
     import numpy as np
 
     ms = episode.solve_seconds * 1e3
@@ -143,6 +163,7 @@ def _summarize(episode: Any, suite: str) -> dict[str, Any]:
     quantiles = {name: round(float(np.quantile(ms, q)), 4) for name, q in names.items()} if len(ms) else None
     return {
         "scenario": episode.scenario,
+        "domain": scenario.domain,
         "suite": suite,
         "policy": episode.policy,
         "seed": episode.seed,
@@ -165,5 +186,5 @@ def _summarize(episode: Any, suite: str) -> dict[str, Any]:
         "fallbacks": dict(episode.fallbacks),
         "replans": episode.replans,
         "reoptimised": dict(episode.reoptimised),
-        "wall_seconds": episode.wall_seconds,
+        "episode_seconds": episode.wall_seconds,
     }

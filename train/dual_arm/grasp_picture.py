@@ -12,23 +12,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from impact_envs import drawing
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.dual_arm.task import DualArmTask
 from impact_envs.env import parallel_env
 from impact_envs.errors import InputError
+from impact_envs.picture import drawing
 from impact_envs.rollout import Episode, Policy, rollout
 from planners import make_expert
 from planners.dual_arm.reference import PostField, compute_ante_velocity, compute_post_reference
 from planners.dual_arm.reference_spreading import ReferenceSpreading
+from train.dual_arm.arms_panel import draw_arms
 from train.pictures.color import hex_color
 from train.pictures.file import save_figure
+from train.pictures.robustness import draw_robustness, write_verdict
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 SIZE, DPI = (19.2, 10.8), 100  # [in], [1/in]
+WIDTHS = (1.15, 1.3, 0.9, 1.0)  # of the panels above, relative
 COMPARED = ("no_impact_map", "no_interim_phase", "published")  # two of them are drawn beside the policy
 BEFORE, AFTER = 0.06, 0.2  # of the first contact, for velocities and forces [s]
 TORQUES_AFTER = 0.4  # of it, for torques [s]
@@ -120,23 +123,31 @@ def draw_grasp(scenario: DualArmScenario, controller: ReferenceSpreading, episod
     figure = Figure(SIZE, DPI, facecolor=hex_color(drawing.PAPER), layout="constrained")
     FigureCanvasAgg(figure)
     halves = figure.add_gridspec(2, 1, height_ratios=(1.35, 1.0))
-    above, below = halves[0].subgridspec(1, 3, width_ratios=(1.5, 1.0, 1.1)), halves[1].subgridspec(1, len(episodes))
-    _draw_ante(figure.add_subplot(above[0]), scenario, controller, episode)
-    _draw_post(figure.add_subplot(above[1]), scenario, controller, episode)
-    rows = above[2].subgridspec(3, 1)
+    above, below = halves[0].subgridspec(1, 4, width_ratios=WIDTHS), halves[1].subgridspec(1, len(episodes))
+    left = above[0].subgridspec(2, 1, height_ratios=(2.4, 1.0))
+    _draw_course([figure.add_subplot(left[row]) for row in range(2)], scenario, episode)
+    _draw_ante(figure.add_subplot(above[1]), scenario, controller, episode)
+    _draw_post(figure.add_subplot(above[2]), scenario, controller, episode)
+    rows = above[3].subgridspec(3, 1)
     _draw_impact([figure.add_subplot(rows[row]) for row in range(3)], scenario, controller, episode)
     first: Axes | None = None
     for column, (name, played) in enumerate(episodes.items()):
         axes = figure.add_subplot(below[column], sharey=first)
         _draw_torques(axes, scenario, name, played, labelled=first is None)
         first = first or axes
-    verdict = "satisfied" if episode.success else "violated"
-    figure.suptitle(
-        f"{episode.scenario}, {episode.policy}, seed {episode.seed}: "
-        f"robustness {1e3 * episode.robustness:.2f}e-3, {verdict}",
-        fontsize=12,
-    )
+    figure.suptitle(write_verdict(scenario, episode), fontsize=12)
     return figure
+
+
+def _draw_course(rows: list[Axes], scenario: DualArmScenario, episode: Episode) -> None:
+    """Draw the arms, and below them robustness over the whole episode."""
+    draw_arms(rows[0], scenario, episode, _find_hit(episode))
+    _finish(rows[0], "arms at start, first contact, end", legend="lower right")
+    draw_robustness(rows[1], scenario, episode)
+    rows[1].yaxis.label.set_fontsize(7)
+    rows[1].set_xlim(episode.times[0], episode.times[-1])
+    rows[1].set_xlabel("time [s]", fontsize=8)
+    _finish(rows[1], "", legend="lower left")
 
 
 def _draw_ante(axes: Axes, scenario: DualArmScenario, controller: ReferenceSpreading, episode: Episode) -> None:

@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from impact_envs import drawing
 from impact_envs.floating_manipulator.task import FloatingManipulatorTask
+from impact_envs.picture import drawing
+from impact_envs.picture.unit import label_robustness
 from impact_envs.rollout import Episode
 from impact_envs.shape import Shape
 from train.floating_manipulator.motion_record import ManipulatorRecord
 from train.pictures.color import hex_color
 from train.pictures.file import save_figure
+from train.pictures.robustness import draw_robustness, write_verdict
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,17 +65,25 @@ def draw_manipulator_episode(record: ManipulatorRecord, episode: Episode) -> Fig
     FigureCanvasAgg(figure)
     rows = figure.add_gridspec(2, 1, height_ratios=(2, 3))
     above, below = (figure.add_subfigure(rows[place]) for place in range(2))
-    verdict = "satisfied" if episode.success else "violated"
-    above.suptitle(f"{episode.scenario}, {episode.policy}: robustness {episode.robustness:.3f}, {verdict}", fontsize=12)
+    above.suptitle(write_verdict(record.scenario, episode), fontsize=12)
     _draw_motion(above, record, episode)
     histories = [*_list_histories(record, episode), *_list_torques(record, episode)]
-    grid = below.add_gridspec(math.ceil(len(histories) / COLUMNS), COLUMNS)
+    panels = len(histories) + 1
+    grid = below.add_gridspec(math.ceil(panels / COLUMNS), COLUMNS)
     for place, (title, curves) in enumerate(histories):
         axes = below.add_subplot(grid[divmod(place, COLUMNS)])
         _draw_history(axes, title, curves, episode.times)
         _mark_phases(axes, record)
-        if place >= len(histories) - COLUMNS:
+        if place >= panels - COLUMNS:
             axes.set_xlabel("time [s]", fontsize=8)
+    row, column = divmod(panels - 1, COLUMNS)
+    axes = below.add_subplot(grid[row, column:])  # as wide as there is room
+    draw_robustness(axes, record.scenario, episode)
+    title = label_robustness(record.scenario.specification)
+    _draw_history(axes, title, [], episode.times)
+    axes.set_ylabel("")
+    axes.set_xlabel("time [s]", fontsize=8)
+    _mark_phases(axes, record)
     return figure
 
 
@@ -193,7 +203,7 @@ def _draw_history(axes: Axes, title: str, curves: Sequence[tuple[str, np.ndarray
     axes.set_xlim(times[0], times[-1])
     axes.tick_params(labelsize=7)
     axes.grid(color=hex_color(drawing.GRID), lw=0.6)
-    axes.legend(fontsize=7, framealpha=0.8, ncols=len(curves), loc="best")
+    axes.legend(fontsize=7, framealpha=0.8, ncols=max(1, len(curves)), loc="best")
 
 
 def _mark_phases(axes: Axes, record: ManipulatorRecord) -> None:

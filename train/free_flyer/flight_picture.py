@@ -20,9 +20,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from impact_envs import drawing
-from impact_envs.drawing import mix
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.picture import drawing
+from impact_envs.picture.drawing import mix
 from impact_envs.rollout import Episode
 from planners.free_flyer.belief.world_memory import COUNTERS
 from planners.plan import Plan
@@ -31,6 +31,7 @@ from train.free_flyer.plan_map import Style, choose_styles, draw_map, list_curve
 from train.free_flyer.plan_picture import PANELS
 from train.pictures.color import hex_color
 from train.pictures.file import check_picture_path, save_figure
+from train.pictures.robustness import draw_robustness
 
 WIDTH, DPI = 19.2, 100  # [in], [1/in]
 # Of the blocks from top to bottom, and of what is around them [in].
@@ -81,7 +82,7 @@ def draw_flight(scenario: FreeFlyerScenario, episode: Episode, record: FlightRec
         ground, panels = _add_upper_axes(figure, scenario, float(episode.times[-1]))
         _draw_ground(ground, scenario, episode, plan, styles, hits)
         _draw_motions(panels[:4], episode, record, styles)
-        _draw_robustness(panels[4], episode, plan)
+        _draw_robustness(panels[4], scenario, episode, plan)
         _draw_events(panels[5], record, styles)
         inputs = _add_input_axes(figure, scenario, panels[0])
         _draw_inputs(inputs, scenario, episode, styles)
@@ -102,7 +103,7 @@ def _add_upper_axes(figure: Figure, scenario: FreeFlyerScenario, end: float) -> 
     ground.set(facecolor=hex_color(drawing.WORLD), anchor="N")
     left, tall = LEFT + wide + BETWEEN, UPPER - (len(SHARES) - 1) * ROW
     panels: list[Axes] = []
-    for share, label in zip(SHARES, (*PANELS, "robustness [m]", ""), strict=True):
+    for share, label in zip(SHARES, (*PANELS, "", ""), strict=True):
         high = tall * share / sum(SHARES)
         top -= high
         panel = _add_axes(figure, left, top, width - RIGHT - left, high, panels[0] if panels else None)
@@ -198,21 +199,11 @@ def _draw_motions(
             panel.add_collection(LineCollection(ways, color=_ink(style), lw=0.6, alpha=0.4, zorder=4.5), False)
 
 
-def _draw_robustness(panel: Axes, episode: Episode, plan: Plan | None) -> None:
+def _draw_robustness(panel: Axes, scenario: FreeFlyerScenario, episode: Episode, plan: Plan | None) -> None:
     """Draw the interval of robustness still possible, what was planned and what was reached."""
-    lower, upper = episode.robustness_bounds.T
-    color = hex_color(drawing.SATISFIED if episode.success else drawing.VIOLATED)
-    panel.fill_between(episode.times, lower, upper, fc=color, alpha=0.15, lw=0, zorder=1)
-    for values in (lower, upper):
-        panel.plot(episode.times, values, color=color, lw=1.2, zorder=3)
-    panel.axhline(0.0, color=INK, lw=0.8, zorder=2)
-    panel.plot(episode.times[-1], episode.robustness, "o", color=color, ms=6, clip_on=False, zorder=6)
-    promised = plan.robustness if plan else episode.robustness
+    draw_robustness(panel, scenario, episode, plan.robustness if plan else 0.1)
     if plan:
-        panel.axhline(promised, color=MUTED, lw=1.0, ls=DASHES, zorder=2)
-    # The lower bound is far below until late; a scale that shows it all shows nothing of the rest.
-    top = max(float(upper.max()), promised, 0.1)
-    panel.set_ylim(min(-top, 1.3 * episode.robustness), 1.15 * top)
+        panel.axhline(plan.robustness, color=MUTED, lw=1.0, ls=DASHES, zorder=2)
 
 
 def _draw_events(panel: Axes, record: FlightRecord | None, styles: dict[str, Style]) -> None:

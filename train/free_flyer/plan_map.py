@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.text import Text
 
-from impact_envs import drawing
-from impact_envs.drawing import mix
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.picture import drawing
+from impact_envs.picture.drawing import mix
 from planners.bezier import Curve
 from planners.plan import Plan
 from train.free_flyer.picture_labels import Label, place_labels

@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from impact_envs import drawing
 from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.picture import drawing
 from planners.bezier import Curve
 from planners.plan import Plan
 from train.free_flyer.plan_map import Style, choose_styles, draw_map, list_curves, sample_curve, star

@@ -11,6 +11,7 @@ from impact_envs.errors import InputError
 from impact_envs.rollout import ZeroPolicy
 from planners import make_expert
 from train.cli.main import main
+from train.dual_arm.arms_panel import place_joints
 from train.dual_arm.grasp_picture import draw_grasp, find_controller
 
 # Ends soon after the grasp.
@@ -49,6 +50,25 @@ def test_curves_are_the_episodes(played):
     times, torque = curve(torques[0], "arm 2, joint 2")
     first = round(times[0] / episode.period)
     np.testing.assert_allclose(torque, 70.0 * episode.actions["arm_2"][first : first + len(times), 1])
+
+
+def test_arms_are_drawn_where_their_joints_are():
+    """At the start the joints are the scenario's, and an arm's links keep their lengths at all times."""
+    scenario = load_scenario("dual_arm_grasp").override(SOON)
+    chains = []
+    env = parallel_env(scenario, render_mode="rgb_array")
+    episode = rollout(env, ZeroPolicy(env), 0, on_step=lambda shown: chains.append(shown.make_frame().chains))
+    for sample in (0, 100, 400):
+        for name, joints in place_joints(scenario, episode, sample).items():
+            np.testing.assert_allclose(joints, chains[sample][name], atol=1e-9)
+
+
+def test_robustness_has_an_axis_that_says_what_its_unit_is(played):
+    scenario, expert, episode = played
+    axes = draw_grasp(scenario, find_controller(expert), {"expert": episode}).axes
+    panel = next(panel for panel in axes if panel.get_ylabel().startswith("robustness"))
+    assert panel.get_ylabel() == "robustness [predicates’ units]"
+    assert panel.lines[-1].get_xydata()[-1].tolist() == [episode.times[-1], episode.robustness]
 
 
 def test_what_cannot_be_drawn_is_refused(played):

@@ -10,11 +10,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from impact_envs import drawing
 from impact_envs.env import parallel_env
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.physics.impact import Impact
+from impact_envs.picture import drawing
 from impact_envs.rollout import Episode, ZeroPolicy, rollout
 from impact_envs.scenario import load_scenario
 from planners import make_expert

@@ -9,9 +9,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from impact_envs import drawing
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.picture import drawing
 from impact_envs.scenario import load_scenario
 from planners.bezier import Curve
 from planners.plan import Plan, PlannedImpact, Tube
