@@ -224,7 +224,7 @@ def play_single(env: ImpactEnv, expert: Any, kind: Kind, seed: int) -> tuple[boo
     infos: Mapping[str, Any] = {}
     mad = 0
     while env.agents:
-        read = spoiler.spoil(env.task.observe_jointly(env.time, env.bounds))
+        read = spoiler.spoil(env.task.observe_jointly(env.time, env.conjuncts))
         if arms:
             first, second, clock = read[spans[0]], read[spans[1]], read[layout["time"]]
             pairs = ((first, second), (second, first))

@@ -72,10 +72,10 @@ class Task(Protocol):
     def sense(self, states: np.ndarray, impacts: list[Impact]) -> None:
         """Take the sensors' sample."""
 
-    def observe(self, time: float, bounds: tuple[float, float]) -> dict[str, np.ndarray]:
-        """Return each agent's observation."""
+    def observe(self, time: float, robustness: Sequence[float]) -> dict[str, np.ndarray]:
+        """Return each agent's observation, in which intervals of the formula's conjuncts may stand."""
 
-    def observe_jointly(self, time: float, bounds: tuple[float, float]) -> np.ndarray:
+    def observe_jointly(self, time: float, robustness: Sequence[float]) -> np.ndarray:
         """Return all agents' observation as one vector."""
 
     def list_secrets(self, physics: Any) -> np.ndarray:
@@ -100,7 +100,8 @@ class ImpactEnv(ParallelEnv):
     Action space: per agent ``Box(-1, 1)``, scaled to its limits inside (see the task).
 
     Observation space: per agent a fresh float64 vector of measurements in SI units; ``task.layouts[agent]`` says what
-    stands where (``print(env.task.layouts[agent].describe())``).
+    stands where (``print(env.task.layouts[agent].describe())``). Where robustness is observed, it is the interval still
+    possible of every conjunct of the formula, from which a policy without memory knows what is done.
 
     Rewards: the team's part, shared equally, is the change of a potential, plus the robustness reached at the end;
     each agent pays for its effort (see `reward.py` and the task). The sum over agents is what JointEnv returns. With
@@ -166,7 +167,8 @@ class ImpactEnv(ParallelEnv):
         rates, areas = find_rates(reward, self.scenario.domain), self.scenario.areas
         self.reward, self._forecast = reward, None
         if rates is not None:
-            self._forecast = Forecast(self.monitor, areas, self.scenario.bodies, rates, task.signal_bounds())
+            bodies, bounds = self.scenario.bodies, task.signal_bounds()
+            self._forecast = Forecast(self.scenario.specification, self.monitor, areas, bodies, rates, bounds)
         self._potential = 0.0  # of reward "progress" [m]
         self.curves: dict[str, np.ndarray] = {}  # polylines to draw under the bodies, for example a plan
         self.impacts: list[Impact] = []  # of the last control period
@@ -227,12 +229,13 @@ class ImpactEnv(ParallelEnv):
         self.signals = self.task.signals(self._states)
         self.monitor.reset()
         self.bounds = self._watch()
+        self.conjuncts = self._clip_conjuncts()
         self._potential = self._predict()
         self._marks = []
         self._remember()
         infos = self._infos()
         self.infos = next(iter(infos.values()))
-        return self.task.observe(0.0, self.bounds), infos
+        return self.task.observe(0.0, self.conjuncts), infos
 
     def step(
         self, actions: Mapping[str, np.ndarray]
@@ -267,8 +270,10 @@ class ImpactEnv(ParallelEnv):
             self.task.sense(self._states, self.impacts)
             self.signals = self.task.signals(self._states)
             self.bounds = self._watch()
+            self.conjuncts = self._clip_conjuncts()
         else:
             self.bounds = (-self._limit, -self._limit)
+            self.conjuncts = [-self._limit] * len(self.conjuncts)
         self._remember(signals)
         failed = self.failure is not None
         over = failed or self.steps >= min(self.max_cycles, self._last)
@@ -280,7 +285,7 @@ class ImpactEnv(ParallelEnv):
                 self._potential = self._predict()
             team = compute_progress_reward(potential, self._potential, self.bounds[0], over)
         rewards = {agent: compute_reward(team, len(agents), self.task.effort(actions[agent])) for agent in agents}
-        observations, infos = self.task.observe(self.time, self.bounds), self._infos(over)
+        observations, infos = self.task.observe(self.time, self.conjuncts), self._infos(over)
         self.infos = infos[agents[0]]
         if over:
             self.agents = []
@@ -443,6 +448,11 @@ class ImpactEnv(ParallelEnv):
         """Take the formula's sample; return the interval of robustness still possible, clipped."""
         low, high = self.monitor.update(self.signals)
         return max(-self._limit, min(self._limit, low)), max(-self._limit, min(self._limit, high))
+
+    def _clip_conjuncts(self) -> list[float]:
+        """Return lower and upper end of every conjunct's interval, clipped."""
+        limit = self._limit
+        return [max(-limit, min(limit, end)) for end in self.monitor.conjuncts]
 
     def _predict(self) -> float:
         """Return the potential of reward "progress"; 0 for the other one."""

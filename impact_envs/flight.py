@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
-from impact_envs.stl import Monitor
+from impact_envs.stl import Formula, Monitor
 from impact_envs.stl.compiled_formula import (
     EXTREME,
     FIRST,
@@ -160,7 +160,8 @@ class Forecast:
     """`predict_robustness` of the single environment.
 
     Args:
-        monitor: that follows the formula.
+        formula: specification.
+        monitor: that follows it.
         areas: regions and obstacles by name.
         bodies: what ``all`` stands for.
         rates: a body's signal to its rate of change: ``x`` to ``vx``.
@@ -169,6 +170,7 @@ class Forecast:
 
     def __init__(
         self,
+        formula: Formula,
         monitor: Monitor,
         areas: Mapping[str, Any],
         bodies: Sequence[str],
@@ -179,7 +181,7 @@ class Forecast:
         moving = [f"{body}.{rates[name]}" for body, _, name in parts if name in rates]
         names = self._names = tuple(dict.fromkeys((*monitor.formula.signals(), *moving)))
         # Another sample than the monitor's, the same memory: where it lies does not depend on the signals.
-        self._formula = compile_formula(monitor.formula, monitor.period, areas, bodies, names, bounds)
+        self._formula = compile_formula(formula, monitor.period, areas, bodies, names, bounds)
         self._flight = make_flight(self._formula, monitor.reach, monitor.period, names, rates, bounds)
         self._spare, self._flown = np.zeros((1, self._formula.size)), np.zeros((1, len(names)))
         self.every = self._flight.every

@@ -24,7 +24,7 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Action space: ``Box(-1, 1)``, the agents' actions one after another in scenario order.
 
     Observation space: everything measured once (bodies in scenario order, contacts, time / horizon, robustness
-    interval; see the task's ``observe_jointly``).
+    interval of each conjunct of the formula; ``env.unwrapped.parallel.task.joint_layout.describe()``).
 
     Rewards, starting state, episode end: as ImpactEnv; the reward is the sum over agents. ``max_cycles`` cuts an
     episode, and its last info has the verdict; Gymnasium's ``max_episode_steps`` cuts from outside, without one.
@@ -115,4 +115,4 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.parallel.close()
 
     def _observe(self) -> np.ndarray:
-        return self.parallel.task.observe_jointly(self.parallel.time, self.parallel.bounds)
+        return self.parallel.task.observe_jointly(self.parallel.time, self.parallel.conjuncts)

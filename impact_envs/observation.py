@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from impact_envs.errors import InputError, choices
+from impact_envs.stl import Formula
 
 # Elements of a body's motion.
 MOTION = ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "heading [rad]", "omega [rad/s]")
@@ -51,6 +52,17 @@ class Layout:
     def make_space(self) -> Box:
         """Return the space of such vectors."""
         return make_unbounded_space(self.size)
+
+
+def describe_robustness(formula: Formula) -> tuple[str, ...]:
+    """Return what the robustness in an observation is, element by element: an interval per conjunct of the formula.
+
+    The interval of the whole formula lies between the least of the lower ends and the least of the upper ones.
+
+    Args:
+        formula: without ``&`` outside all operators it is its only conjunct.
+    """
+    return tuple(f"robustness_{end} of {part} [m]" for part in formula.conjuncts() for end in ("lower", "upper"))
 
 
 def make_unbounded_space(size: int) -> Box:

@@ -103,19 +103,19 @@ class DualArmTask:
             row[JOINTED] = state[MOVED]
             row[PAD] = x, y, math.cos(heading), math.sin(heading), vx, vy, omega
 
-    def observe(self, time: float, bounds: tuple[float, float]) -> dict[str, np.ndarray]:
+    def observe(self, time: float, robustness: Sequence[float]) -> dict[str, np.ndarray]:
         """Return each arm's observation.
 
         Args:
             time: [s].
-            bounds: interval of robustness still possible, not observed.
+            robustness: intervals still possible, not observed.
         """
         share = time / self.scenario.horizon
         first, second = self._measured
         pairs = ((first, second), (second, first))
         return {name: np.append(pair, share) for name, pair in zip(self.scenario.arms, pairs, strict=True)}
 
-    def observe_jointly(self, time: float, bounds: tuple[float, float]) -> np.ndarray:
+    def observe_jointly(self, time: float, robustness: Sequence[float]) -> np.ndarray:
         """Return everything measured once: both arms, then time / horizon."""
         return np.append(self._measured, time / self.scenario.horizon)
 

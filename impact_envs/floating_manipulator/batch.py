@@ -259,8 +259,8 @@ class ManipulatorBatch:
             self.secrets[k] = list_secrets(physics)
 
     def _make_worlds(self, count: int) -> tuple[Worlds, Memory]:
-        delay = self.scenario.true.delay_steps
-        return make_worlds(self._arena, count), make_memory(self._arena, count, delay, self._formula.size)
+        delay, conjuncts = self.scenario.true.delay_steps, len(self.scenario.specification.conjuncts())
+        return make_worlds(self._arena, count), make_memory(self._arena, count, delay, self._formula.size, conjuncts)
 
     def _refuse(self, actions: np.ndarray, finite: np.ndarray) -> None:
         """Raise InputError: name the first world and agent with a number that is not finite."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from impact_envs.compiled import compiled
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
-from impact_envs.observation import Layout
+from impact_envs.observation import Layout, describe_robustness
 from impact_envs.physics.impact import Impact
 
 FELT_SPEED = 1e-3  # slower impacts are not felt [m/s]
@@ -53,11 +53,11 @@ class Measurement:
 
 def make_layout(scenario: FloatingManipulatorScenario) -> Layout:
     """Return the layout of an observation, which is the same for both agents."""
-    return _make_layout(tuple(scenario.links))
+    return _make_layout(tuple(scenario.links), describe_robustness(scenario.specification))
 
 
 @cache
-def _make_layout(links: tuple[str, ...]) -> Layout:
+def _make_layout(links: tuple[str, ...], robustness: tuple[str, ...]) -> Layout:
     return Layout(
         ("base", ("x [m]", "y [m]", "cos(psi)", "sin(psi)")),
         ("joints", [f"angle of {name} [rad]" for name in links]),
@@ -67,7 +67,7 @@ def _make_layout(links: tuple[str, ...]) -> Layout:
         ("box", ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "cos(heading)", "sin(heading)", "omega [rad/s]")),
         ("contact", ("the arm felt an impact in the last step, 0 or 1",)),
         ("time", ("time / horizon",)),
-        ("robustness", ("robustness_lower", "robustness_upper")),
+        ("robustness", robustness),
     )
 
 
@@ -77,7 +77,7 @@ def find_places(layout: Layout) -> Places:
 
 
 def observation_size(scenario: FloatingManipulatorScenario) -> int:
-    """Return the length of an observation vector, for n joints 2 n + 22."""
+    """Return the length of an observation vector, for n joints and c conjuncts 2 n + 2 c + 20."""
     return make_layout(scenario).size
 
 
@@ -92,7 +92,7 @@ def select_felt(impacts: Sequence[Impact]) -> list[Impact]:
 
 @compiled
 def write_observation(
-    states: np.ndarray, contact: bool, fraction: float, bounds: tuple[float, float], at: Places, vector: np.ndarray
+    states: np.ndarray, contact: bool, fraction: float, robustness: np.ndarray, at: Places, vector: np.ndarray
 ) -> None:
     """Write one observation (see `make_layout` for every element).
 
@@ -100,9 +100,9 @@ def write_observation(
         states: rows x, y, vx, vy, heading, omega of base, n links, tip, box, target, shape (n + 4, 6).
         contact: an impact was felt.
         fraction: time / horizon.
-        bounds: interval of robustness still possible.
+        robustness: lower and upper end of each conjunct's interval still possible, shape (2 c,).
         at: where the fields begin.
-        vector: result, shape (2 n + 22,).
+        vector: result, shape (2 n + 2 c + 20,).
     """
     n = len(states) - 4
     base, tip, box, target = states[0], states[n + 1], states[n + 2], states[n + 3]
@@ -119,4 +119,5 @@ def write_observation(
     vector[k], vector[k + 1], vector[k + 2], vector[k + 3] = box[0], box[1], box[2], box[3]
     vector[k + 4], vector[k + 5], vector[k + 6] = math.cos(box[4]), math.sin(box[4]), box[5]
     vector[at.contact], vector[at.time] = 1.0 if contact else 0.0, fraction
-    vector[at.robustness], vector[at.robustness + 1] = bounds[0], bounds[1]
+    for i in range(len(robustness)):
+        vector[at.robustness + i] = robustness[i]

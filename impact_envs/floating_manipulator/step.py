@@ -35,7 +35,7 @@ from impact_envs.floating_manipulator.worlds import (
 from impact_envs.normal import next_normal
 from impact_envs.reward import compute_effort, compute_reward, compute_team_reward
 from impact_envs.stl.compiled_formula import CompiledFormula
-from impact_envs.stl.stepper import start_monitor, update_monitor
+from impact_envs.stl.stepper import read_conjuncts, start_monitor, update_monitor
 from impact_envs.stl.verdict import compute_outcome, settle_tie
 
 LEAVE, STEP, START = range(3)  # what `run_range` does with a world
@@ -45,8 +45,8 @@ class Output(NamedTuple):
     """What a step returns of N worlds.
 
     Attributes:
-        joint: everything measured once, shape (N, 2 n + 22).
-        agents: each agent's observation, shape (N, agents, 2 n + 22), or no agents where nobody asks.
+        joint: everything measured once, shape (N, joint size).
+        agents: each agent's observation, shape (N, agents, joint size), or no agents where nobody asks.
         rewards: of each agent, shape (N, agents) [m].
     """
 
@@ -80,6 +80,8 @@ def step_task(
     before = memory.bounds[k, 0], memory.bounds[k, 1]
     if progress.lost + progress.overflow > 0:
         memory.bounds[k, 0] = memory.bounds[k, 1] = memory.outcome[k] = -arena.diagonal
+        for i in range(memory.conjuncts.shape[1]):
+            memory.conjuncts[k, i] = -arena.diagonal
         progress.hits = 0
     else:
         sense_world(arena, worlds, memory, system, scratch, k)
@@ -172,6 +174,9 @@ def watch_world(arena: Arena, memory: Memory, formula: CompiledFormula, count: i
     memory.outcome[k] = compute_outcome(low, high, arena.diagonal)
     memory.bounds[k, 0] = max(-arena.diagonal, min(arena.diagonal, settle_tie(low)))
     memory.bounds[k, 1] = max(-arena.diagonal, min(arena.diagonal, settle_tie(high)))
+    read_conjuncts(formula, memory.monitor, k, memory.conjuncts)
+    for i in range(memory.conjuncts.shape[1]):
+        memory.conjuncts[k, i] = max(-arena.diagonal, min(arena.diagonal, memory.conjuncts[k, i]))
 
 
 @compiled
@@ -181,8 +186,8 @@ def show_world(arena: Arena, worlds: Worlds, memory: Memory, output: Output, k: 
     newest = progress.steps - 1 if progress.lost + progress.overflow > 0 else progress.steps
     place = max(newest - (places - 1), 0) % places
     fraction = progress.steps * arena.period / arena.horizon
-    bounds = (memory.bounds[k, 0], memory.bounds[k, 1])
-    write_observation(memory.samples[k, place], memory.contacts[k, place], fraction, bounds, arena.at, output.joint[k])
+    sample, felt, ends = memory.samples[k, place], memory.contacts[k, place], memory.conjuncts[k]
+    write_observation(sample, felt, fraction, ends, arena.at, output.joint[k])
     for agent in range(output.agents.shape[1]):
         for i in range(output.joint.shape[1]):
             output.agents[k, agent, i] = output.joint[k, i]

@@ -34,8 +34,8 @@ class FloatingManipulatorTask:
     [m, -]; joint angles ``q_1 ... q_n`` [rad]; base ``vx, vy, dpsi/dt`` [m/s, rad/s]; joint rates [rad/s]; tip
     relative to its goal ``x, y`` [m] and its velocity ``vx, vy`` [m/s]; box ``x, y, vx, vy, cos(heading),
     sin(heading), omega`` [m, m/s, -, rad/s]; ``contact`` (1 if the arm felt an impact in the last step),
-    ``time / horizon``, ``robustness_lower``, ``robustness_upper`` (the interval of STL robustness still possible,
-    clipped to the world's diagonal).
+    ``time / horizon``, and of each conjunct of the formula ``robustness_lower``, ``robustness_upper`` (the interval of
+    STL robustness still possible, clipped to the world's diagonal).
 
     Action of ``arm``: joint torques in [-1, 1] of three times their stall torques, before the motors' limits. Action of
     ``base``: ``[Fx, Fy, torque]`` along the world's axes; the on/off thrusters fire where the command exceeds their
@@ -144,21 +144,22 @@ class FloatingManipulatorTask:
         if self._hit is not None:
             self._since = self._samples * self.scenario.control_period - self._hit
 
-    def observe(self, time: float, bounds: tuple[float, float]) -> dict[str, np.ndarray]:
+    def observe(self, time: float, robustness: Sequence[float]) -> dict[str, np.ndarray]:
         """Return each agent's observation.
 
         Args:
             time: [s].
-            bounds: interval of robustness still possible, finite.
+            robustness: lower and upper end of each conjunct's interval still possible, finite.
         """
-        vector = self.observe_jointly(time, bounds)
+        vector = self.observe_jointly(time, robustness)
         return {agent: vector.copy() for agent in self.scenario.agents}
 
-    def observe_jointly(self, time: float, bounds: tuple[float, float]) -> np.ndarray:
+    def observe_jointly(self, time: float, robustness: Sequence[float]) -> np.ndarray:
         """Return the observation, which is each agent's too."""
         vector = np.empty(self.joint_observation_space.shape)
         states, contact = self._measured[0]
-        self._write_observation(states, contact, time / self._horizon, bounds, self._places, vector)
+        ends = np.array(robustness, dtype=float)
+        self._write_observation(states, contact, time / self._horizon, ends, self._places, vector)
         return vector
 
     def signals(self, states: np.ndarray) -> dict[str, float]:
@@ -215,7 +216,8 @@ class FloatingManipulatorTask:
         self._read_coordinates = bind(read_coordinates, *motion)
         pair, work = (1.0, 1.0), (self._w, self._rates)
         self._write_signals = bind(write_signals, chain, pair, *motion, force[3:], pair, work, self._values)
-        seen = motion[0], False, 0.0, pair, self._places, np.zeros(size)
+        ends = np.zeros(len(self.joint_layout.fields["robustness"]))
+        seen = motion[0], False, 0.0, ends, self._places, np.zeros(size)
         self._write_observation = bind(write_observation, *seen)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -115,6 +115,7 @@ class Memory(NamedTuple):
         contacts: whether an impact was felt, of the same samples, shape (N, delay + 1).
         monitor: of the formula, shape (N, ...).
         bounds: interval of robustness still possible, shape (N, 2) [m].
+        conjuncts: the same of every conjunct of the formula, shape (N, 2 c) [m].
         outcome: the robustness if the episode ended now, ties marked (``verdict.py``), shape (N,) [m].
     """
 
@@ -127,6 +128,7 @@ class Memory(NamedTuple):
     contacts: np.ndarray
     monitor: np.ndarray
     bounds: np.ndarray
+    conjuncts: np.ndarray
     outcome: np.ndarray
 
 
@@ -190,7 +192,7 @@ def make_worlds(arena: Arena, count: int) -> Worlds:
     )
 
 
-def make_memory(arena: Arena, count: int, delay: int, monitor: int) -> Memory:
+def make_memory(arena: Arena, count: int, delay: int, monitor: int, conjuncts: int) -> Memory:
     """Return the task's memory of N worlds, all zero.
 
     Args:
@@ -198,6 +200,7 @@ def make_memory(arena: Arena, count: int, delay: int, monitor: int) -> Memory:
         count: N.
         delay: of the measurements [control periods].
         monitor: numbers that the formula's monitor keeps of a world.
+        conjuncts: of the formula.
     """
     n = len(arena.start) - 3
     return Memory(
@@ -210,6 +213,7 @@ def make_memory(arena: Arena, count: int, delay: int, monitor: int) -> Memory:
         contacts=np.zeros((count, delay + 1), bool),
         monitor=np.zeros((count, monitor)),
         bounds=np.zeros((count, 2)),
+        conjuncts=np.zeros((count, 2 * conjuncts)),
         outcome=np.zeros(count),
     )
 

@@ -319,8 +319,9 @@ class Batch(BatchViews):
             felt=contacts if ideal else np.zeros_like(contacts),
             monitor=np.zeros((count, self._formula.size), dtype),
             bounds=np.zeros((count, 2), dtype),
+            conjuncts=np.zeros((count, 2 * len(self.scenario.specification.conjuncts())), dtype),
             outcome=np.zeros(count, dtype),
-            potential=np.zeros(count, dtype),
+            potential=np.zeros((count, 1 if predicts else 0), dtype),
             spare=np.zeros((count, self._formula.size if predicts else 0), dtype),
             flown=np.zeros((count, 6 * n if predicts else 0), dtype),
         )

@@ -14,20 +14,17 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
 from impact_envs.free_flyer.sensing import (
     BODY,
     BODY_SIZE,
-    LOWER,
-    SHARED,
     STATE_SIZE,
-    TAIL_SIZE,
+    TIME_ELEMENTS,
     compute_memory_size,
     count_uniforms,
     make_sensing,
     sample_alone,
 )
-from impact_envs.observation import Layout
+from impact_envs.observation import Layout, describe_robustness
 
 __all__ = [
     "BODY_SIZE",
-    "TAIL_SIZE",
     "Sensors",
     "join_observations",
     "make_joint_layout",
@@ -85,19 +82,20 @@ def observed_order(scenario: FreeFlyerScenario, agent: str) -> tuple[str, ...]:
 
 
 def make_joint_layout(scenario: FreeFlyerScenario) -> Layout:
-    """Return the layout of everything measured once: bodies in scenario order, contacts, time, robustness interval."""
+    """Return the layout of everything measured once: bodies in scenario order, contacts, time, robustness intervals."""
     contacts = [f"{name} felt an impact in the last step, 0 or 1" for name in scenario.agents]
-    return _make_layout(scenario.bodies, contacts)
+    return _make_layout(scenario, scenario.bodies, contacts)
 
 
 def make_layout(scenario: FreeFlyerScenario, agent: str) -> Layout:
     """Return the layout of a robot's own observation: itself, other robots, objects; its contact, and the same end."""
-    return _make_layout(observed_order(scenario, agent), ["it felt an impact in the last step, 0 or 1"])
+    return _make_layout(scenario, observed_order(scenario, agent), ["it felt an impact in the last step, 0 or 1"])
 
 
-def _make_layout(bodies: Sequence[str], contacts: Sequence[str]) -> Layout:
+def _make_layout(scenario: FreeFlyerScenario, bodies: Sequence[str], contacts: Sequence[str]) -> Layout:
     blocks = [(name, BODY) for name in bodies]
-    return Layout(*blocks, ("contact", contacts), ("time", SHARED[:LOWER]), ("robustness", SHARED[LOWER:]))
+    robustness = describe_robustness(scenario.specification)
+    return Layout(*blocks, ("contact", contacts), ("time", TIME_ELEMENTS), ("robustness", robustness))
 
 
 def join_observations(scenario: FreeFlyerScenario, observations: Mapping[str, np.ndarray], joint: np.ndarray) -> None:
@@ -112,7 +110,7 @@ def join_observations(scenario: FreeFlyerScenario, observations: Mapping[str, np
         InputError: a robot is missing or unknown, or its observation is not as long as `make_layout` says.
     """
     n = BODY_SIZE * len(scenario.bodies)
-    sizes = dict.fromkeys(scenario.agents, n + TAIL_SIZE)
+    sizes = dict.fromkeys(scenario.agents, len(joint) - len(scenario.agents) + 1)
     observations = read_vectors(observations, sizes, "observation", finite=False)
     first = observations[scenario.agents[0]]
     joint[:n] = first[:n]  # the first robot sees all bodies in scenario order

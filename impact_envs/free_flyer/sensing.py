@@ -15,12 +15,11 @@ from impact_envs.compiled import compiled, inlined
 from impact_envs.free_flyer.schema import DELAY, DROPOUT, Truth, largest
 from impact_envs.stream import normal_pair
 
-# What is observed of a body, in order; and what comes after all bodies: contacts, then these.
+# What is observed of a body, in order; after all bodies come contacts, the time, and the robustness of each conjunct.
 BODY = ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "cos(heading)", "sin(heading)", "omega [rad/s]")
 X, Y, VX, VY, COS, SIN, OMEGA, BODY_SIZE = range(8)
-SHARED = ("time / horizon", "robustness_lower [m]", "robustness_upper [m]")
-TIME, LOWER, UPPER, SHARED_SIZE = range(4)
-TAIL_SIZE = 1 + SHARED_SIZE  # of a robot's own observation: its contact, and what is shared
+TIME_ELEMENTS = ("time / horizon",)
+TIME, LOWER = range(2)  # of what all robots share, behind the contacts
 # The published replanner averages the differences of its last 15 positions, which is this difference quotient.
 VELOCITY_WINDOW = 15
 # Slowest impact the inertial unit feels; below it lies resting contact.
@@ -220,7 +219,7 @@ def find_contact_place(bodies: int, robot: int) -> int:
 
 @compiled
 def find_shared_place(bodies: int, robots: int) -> int:
-    """Return where the time stands in a joint observation; the robustness interval follows."""
+    """Return where the time stands in a joint observation; the robustness intervals follow."""
     return BODY_SIZE * bodies + robots
 
 
@@ -230,29 +229,28 @@ def write_observations(
     measured: np.ndarray,
     felt: np.ndarray,
     fraction: float,
-    low: float,
-    high: float,
+    robustness: np.ndarray,
     joint: np.ndarray,
     agents: np.ndarray,
 ) -> None:
     """Write the joint observation of world k, and those of its robots for which there is room (see below)."""
-    write_joint_observation(k, measured, felt, fraction, low, high, joint)
+    write_joint_observation(k, measured, felt, fraction, robustness, joint)
     for agent in range(agents.shape[1]):
-        write_agent_observation(k, agent, joint, agents)
+        write_agent_observation(k, agent, measured.shape[1], joint, agents)
 
 
 @inlined
 def write_joint_observation(
-    k: int, measured: np.ndarray, felt: np.ndarray, fraction: float, low: float, high: float, joint: np.ndarray
+    k: int, measured: np.ndarray, felt: np.ndarray, fraction: float, robustness: np.ndarray, joint: np.ndarray
 ) -> None:
-    """Write everything world k measured once: bodies in scenario order, contacts, time, robustness interval.
+    """Write everything world k measured once: bodies in scenario order, contacts, time, robustness intervals.
 
     Args:
         k: world.
         measured: [x, y, vx, vy, heading, omega] of all bodies, shape (worlds, bodies, 6).
         felt: contacts, shape (worlds, robots).
         fraction: time / horizon.
-        low, high: interval of robustness still possible [m].
+        robustness: lower and upper end of each conjunct's interval still possible, shape (worlds, 2 conjuncts) [m].
         joint: takes the observation, shape (worlds, joint size).
     """
     bodies, robots = measured.shape[1], felt.shape[1]
@@ -269,26 +267,26 @@ def write_joint_observation(
         joint[k, find_contact_place(bodies, r)] = felt[k, r]
     at = find_shared_place(bodies, robots)
     joint[k, at + TIME] = fraction
-    joint[k, at + LOWER] = low
-    joint[k, at + UPPER] = high
+    for j in range(robustness.shape[1]):
+        joint[k, at + LOWER + j] = robustness[k, j]
 
 
 @inlined
-def write_agent_observation(k: int, agent: int, joint: np.ndarray, out: np.ndarray) -> None:
-    """Write a robot's observation of world k: itself, other robots, objects, its contact, time, robustness interval.
+def write_agent_observation(k: int, agent: int, bodies: int, joint: np.ndarray, out: np.ndarray) -> None:
+    """Write a robot's observation of world k: itself, other robots, objects, its contact, time, robustness intervals.
 
     Args:
         k: world.
         agent: robot, its number.
+        bodies: how many.
         joint: as ``write_joint_observation`` left it, shape (worlds, joint size).
         out: takes the observation, shape (worlds, robots, own size).
     """
-    robots, tail = out.shape[1], out.shape[2] - TAIL_SIZE
-    bodies = tail // BODY_SIZE
+    robots, tail = out.shape[1], BODY_SIZE * bodies
     for i in range(bodies):
         place = 0 if i == agent else i + 1 if i < agent else i
         for j in range(BODY_SIZE):
             out[k, agent, BODY_SIZE * place + j] = joint[k, BODY_SIZE * i + j]
     out[k, agent, tail] = joint[k, find_contact_place(bodies, agent)]
-    for j in range(SHARED_SIZE):
+    for j in range(out.shape[2] - tail - 1):
         out[k, agent, tail + 1 + j] = joint[k, find_shared_place(bodies, robots) + j]

@@ -37,7 +37,7 @@ from impact_envs.free_flyer.worlds import (
 )
 from impact_envs.reward import compute_effort, compute_progress_reward, compute_reward, compute_team_reward
 from impact_envs.stl.compiled_formula import CompiledFormula
-from impact_envs.stl.stepper import start_monitor, update_monitor
+from impact_envs.stl.stepper import read_conjuncts, start_monitor, update_monitor
 from impact_envs.stl.verdict import compute_outcome, settle_tie
 from impact_envs.stream import next_double
 
@@ -74,10 +74,10 @@ class Memory(NamedTuple):
         measured, felt: states and contacts as measured; of ideal sensors ``states`` and ``contacts`` themselves.
         monitor: of the formula, shape (N, ...).
         bounds: interval of robustness still possible, shape (N, 2) [m].
+        conjuncts: the same of every conjunct of the formula, shape (N, 2 conjuncts) [m].
         outcome: the robustness if the episode ended now, ties marked (``verdict.py``), shape (N,) [m].
-        potential: of reward "progress", shape (N,) [m].
-        spare, flown: where it is predicted, of the shapes of ``monitor`` and ``signals``; no columns
-            without it.
+        potential: of reward "progress", shape (N, 1), or no column without it [m].
+        spare, flown: where it is predicted, of the shapes of ``monitor`` and ``signals``, or no columns.
     """
 
     states: np.ndarray
@@ -91,6 +91,7 @@ class Memory(NamedTuple):
     felt: np.ndarray
     monitor: np.ndarray
     bounds: np.ndarray
+    conjuncts: np.ndarray
     outcome: np.ndarray
     potential: np.ndarray
     spare: np.ndarray
@@ -146,10 +147,10 @@ def step_task(
     if rules.flight.every == 0:
         team = compute_team_reward(before, after, over)
     else:
-        potential = memory.potential[k]
+        potential = memory.potential[k, 0]
         if over or worlds.counter[k, HITS] > 0 or steps % rules.flight.every == 0:
             predict(formula, rules, memory, k, steps)
-        team = compute_progress_reward(potential, memory.potential[k], after[0], over)
+        team = compute_progress_reward(potential, memory.potential[k, 0], after[0], over)
     for i in range(arena.robots):
         output.rewards[k, i] = compute_reward(team, arena.robots, compute_effort(actions[k, i]))
     observe(worlds, sensing, rules, memory, output, k)
@@ -179,11 +180,13 @@ def fail_task(
     """End the episode of world k, whose motion cannot be followed: least robustness, the last sample observed."""
     before = memory.bounds[k, 0], memory.bounds[k, 1]
     memory.bounds[k, 0] = memory.bounds[k, 1] = memory.outcome[k] = -rules.diagonal
+    for i in range(memory.conjuncts.shape[1]):
+        memory.conjuncts[k, i] = -rules.diagonal
     if rules.flight.every == 0:
         team = compute_team_reward(before, (-rules.diagonal, -rules.diagonal), True)
     else:
-        team = compute_progress_reward(memory.potential[k], -rules.diagonal, -rules.diagonal, True)
-        memory.potential[k] = -rules.diagonal
+        team = compute_progress_reward(memory.potential[k, 0], -rules.diagonal, -rules.diagonal, True)
+        memory.potential[k, 0] = -rules.diagonal
     for i in range(arena.robots):
         output.rewards[k, i] = compute_reward(team, arena.robots, compute_effort(actions[k, i]))
     worlds.counter[k, HITS] = 0
@@ -227,6 +230,9 @@ def watch(formula: CompiledFormula, rules: Rules, memory: Memory, k: int, count:
     memory.outcome[k] = compute_outcome(low, high, rules.diagonal)
     memory.bounds[k, 0] = max(-rules.diagonal, min(rules.diagonal, settle_tie(low)))
     memory.bounds[k, 1] = max(-rules.diagonal, min(rules.diagonal, settle_tie(high)))
+    read_conjuncts(formula, memory.monitor, k, memory.conjuncts)
+    for i in range(memory.conjuncts.shape[1]):
+        memory.conjuncts[k, i] = max(-rules.diagonal, min(rules.diagonal, memory.conjuncts[k, i]))
 
 
 @compiled
@@ -234,7 +240,7 @@ def predict(formula: CompiledFormula, rules: Rules, memory: Memory, k: int, coun
     """Renew the potential of world k, whose last sample has this number."""
     room = memory.monitor, memory.spare, memory.signals, memory.flown
     found = predict_robustness(formula, rules.flight, *room, k, count, memory.bounds[k, 0])
-    memory.potential[k] = max(-rules.diagonal, min(rules.diagonal, found))
+    memory.potential[k, 0] = max(-rules.diagonal, min(rules.diagonal, found))
 
 
 @inlined
@@ -262,8 +268,7 @@ def observe(worlds: Worlds, sensing: Sensing, rules: Rules, memory: Memory, outp
 def show(worlds: Worlds, sensing: Sensing, rules: Rules, memory: Memory, output: Output, k: int) -> None:
     """Write the observations of world k from its last sample."""
     fraction = worlds.counter[k, STEPS] * sensing.period / rules.horizon
-    low, high = memory.bounds[k, 0], memory.bounds[k, 1]
-    write_observations(k, memory.measured, memory.felt, fraction, low, high, output.joint, output.agents)
+    write_observations(k, memory.measured, memory.felt, fraction, memory.conjuncts, output.joint, output.agents)
 
 
 # What run does with a world.

@@ -25,8 +25,9 @@ class FreeFlyerTask:
     """Intent of a free-flyer scenario.
 
     Observation of a robot, float64, SI units, as measured: itself, the other robots and the objects, its contact, the
-    time and the interval of STL robustness still possible, clipped to the world's diagonal; every element is listed by
-    ``layouts[robot].describe()``, and those of all robots together by ``joint_layout.describe()``.
+    time and, for every conjunct of the formula, the interval of STL robustness still possible, clipped to the world's
+    diagonal: which subgoals are reached shows there; every element is listed by ``layouts[robot].describe()``, and
+    those of all robots together by ``joint_layout.describe()``.
 
     Action of a robot: ``[Fx, Fy, torque]`` in its body frame, in [-1, 1] of its limits.
     """
@@ -101,20 +102,20 @@ class FreeFlyerTask:
                     contacts[self._rows[name]] = 1.0
         self._measured, self._contacts = self._sensors.measure(states, contacts)
 
-    def observe(self, time: float, bounds: tuple[float, float]) -> dict[str, np.ndarray]:
+    def observe(self, time: float, robustness: Sequence[float]) -> dict[str, np.ndarray]:
         """Return each robot's observation.
 
         Args:
             time: [s].
-            bounds: interval of robustness still possible, finite [m].
+            robustness: lower and upper end of each conjunct's interval still possible, finite [m].
         """
         agents = np.empty(self._agents_shape)
-        self._write(time, bounds, agents)
+        self._write(time, robustness, agents)
         return {name: agents[0, row] for name, row in self._rows.items()}
 
-    def observe_jointly(self, time: float, bounds: tuple[float, float]) -> np.ndarray:
-        """Return everything measured once: bodies in scenario order, contacts, time / horizon, robustness interval."""
-        return self._write(time, bounds, self._nobody)
+    def observe_jointly(self, time: float, robustness: Sequence[float]) -> np.ndarray:
+        """Return everything measured once: bodies in scenario order, contacts, time / horizon, robustness intervals."""
+        return self._write(time, robustness, self._nobody)
 
     def signals(self, states: np.ndarray) -> dict[str, float]:
         """Return the named signals a formula speaks of, for example ``pop.x``."""
@@ -146,9 +147,10 @@ class FreeFlyerTask:
         """Return nothing: a free-flyer is held by nobody."""
         return {}
 
-    def _write(self, time: float, bounds: tuple[float, float], agents: np.ndarray) -> np.ndarray:
+    def _write(self, time: float, robustness: Sequence[float], agents: np.ndarray) -> np.ndarray:
         """Return the joint observation, and write those of the robots for which there is room."""
         joint = np.empty(self._joint_shape)
         measured, felt = self._measured[None], self._contacts[None]
-        write_observations(0, measured, felt, time / self._horizon, *bounds, joint, agents)
+        ends = np.array([robustness], dtype=float)
+        write_observations(0, measured, felt, time / self._horizon, ends, joint, agents)
         return joint[0]

@@ -56,4 +56,5 @@ COLUMN, NUMBER, COUNT = range(2, 5)
 PICK, FIRST, LAST, LEFT, RIGHT, SLOT, UNSEEN = range(2, 9)
 FIRST_2, LAST_2, FIRST_3, LAST_3 = range(9, 13)  # of ``root``: the operators inside an alternation or join
 PICK_2, LEFT_2, LOWER, UPPER, ENDS = range(13, 18)  # of ``root``: the operator inside a join, and what clamps it
+CONJUNCT = 18  # of ``root``: which of the formula's conjuncts the row belongs to
 EARLIEST, REACH, START, END, MASK, STRIDE = range(9, 15)  # of ``nodes``

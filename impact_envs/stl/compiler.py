@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
+from itertools import pairwise
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from impact_envs.stl.term import (
     find_join,
     is_state,
     join_states,
+    list_operands,
     make_term,
     other,
     split_operators,
@@ -60,7 +62,7 @@ def compile_formula(
     for name, (low, high) in (bounds or {}).items():
         if not low <= high:
             raise InputError(f"monitor: bounds [{low:g}, {high:g}] of signal '{name}' are empty")
-    formula = formula.expand(bodies)
+    parts, formula = formula.conjuncts(), formula.expand(bodies)
     for name in formula.signals():
         if name not in signals:
             raise InputError(f"monitor: signal '{name}' is missing; {choices(name, signals)}")
@@ -68,7 +70,8 @@ def compile_formula(
     if reach > LONGEST:
         raise InputError(f"monitor: the formula looks {reach} samples ahead; at most {LONGEST} are possible")
     builder = _Builder(bounds or {}, signals)
-    builder.add_root(split_operators(make_term(formula, period, areas)))
+    terms = [split_operators(make_term(part.expand(bodies), period, areas)) for part in parts]
+    builder.add_root(split_operators(make_term(formula, period, areas)), terms)
     return builder.finish()
 
 
@@ -96,7 +99,7 @@ def describe_parts(
         formula, period, areas, bodies: see `compile_formula`.
     """
     term = split_operators(make_term(formula.expand(tuple(bodies)), period, areas))
-    leaves = [part[-1] for part in _linearise(term, lambda part: is_state(part) or isinstance(part, Operator))]
+    leaves = [part[-1] for part in _list_steps(term, len(formula.conjuncts()))]
     return tuple(_describe(leaf, period) for leaf in leaves if leaf is not None)
 
 
@@ -149,6 +152,7 @@ class _Builder:
         self.bounds = bounds
         self.column_of = {name: column for column, name in enumerate(signals)}
         self.root: list[list[int]] = []
+        self.conjuncts: list[int] = []  # the number of each row's
         self.nodes: list[_Node] = []
         self.starts, self.columns = [0], list[int]()
         self.code: list[list[int]] = []
@@ -156,9 +160,15 @@ class _Builder:
         self.size = 0
         self._known: dict[Hashable, int] = {}  # nodes, states and scratch memory, to have each once
 
-    def add_root(self, term: Term) -> None:
-        """Append the rows of a whole formula."""
-        rows = list(_linearise(term, lambda part: is_state(part) or isinstance(part, Operator)))
+    def add_root(self, term: Term, conjuncts: Sequence[Term]) -> None:
+        """Append the rows of a whole formula.
+
+        Args:
+            term: of the formula.
+            conjuncts: terms whose least it is, in order.
+        """
+        self.conjuncts = [number for number, rows in enumerate(_count_rows(term, conjuncts)) for _ in range(rows)]
+        rows = _list_steps(term, len(conjuncts))
         self._allocate(2 * sum(leaf is not None for *_, leaf in rows))  # their intervals, see read_parts
         for kind, how, depth, leaf in rows:
             if leaf is None:
@@ -279,8 +289,10 @@ class _Builder:
                     window = node.start + node.first, node.end + node.last
                     self.nodes[child].need(*window, node.reach - node.first)
         rows = [self._finish_node(node) for node in self.nodes]
+        root = _table(self.root, tables.CONJUNCT + 1)
+        root[:, tables.CONJUNCT] = self.conjuncts
         return CompiledFormula(
-            _table(self.root, tables.ENDS + 1),
+            root,
             _table(rows, tables.STRIDE + 1),
             np.array(self.starts, np.int32),
             _table(self.code, tables.COUNT + 1),
@@ -297,6 +309,27 @@ class _Builder:
         slot, unseen = self._allocate(stride * length), self._add_numbers(node.range)
         head = [node.kind, 0, _pick(node.pick), node.first, node.last, node.left, node.right, slot, unseen]
         return [*head, node.earliest, node.reach, node.start, node.end, length - 1, stride]
+
+
+def _count_rows(term: Term, conjuncts: Sequence[Term]) -> list[int]:
+    """Return how many of the root's rows each conjunct has, see `_Builder.add_root`."""
+    steps = [len(list(_linearise(part, _is_leaf))) for part in list_operands(term, min)]
+    if len(conjuncts) == 1:
+        return [len(_list_steps(term, 1))]
+    # What is no leaf stands in brackets, except where it is the first.
+    rows = [count + 2 * (count > 1 and place > 0) for place, count in enumerate(steps)]
+    ends = np.cumsum([0, *(len(list_operands(part, min)) for part in conjuncts)]).tolist()
+    return [sum(rows[start:end]) for start, end in pairwise(ends)]
+
+
+def _list_steps(term: Term, conjuncts: int) -> list[tuple[int, int, int, Term | None]]:
+    """Return the steps of the root; conjuncts without temporal operators are not joined to one."""
+    return list(_linearise(term, lambda part: _is_leaf(part) and (part is not term or conjuncts == 1)))
+
+
+def _is_leaf(term: Term) -> bool:
+    """Return whether the root's rows have no part of a term: it is an operator, or has none inside."""
+    return is_state(term) or isinstance(term, Operator)
 
 
 def _find_alternation(term: Operator) -> tuple[Operator, ...]:

@@ -63,10 +63,11 @@ class Monitor:
     ) -> None:
         self.formula = formula.expand(bodies)
         self._names = self.formula.signals()
-        self._compiled = compile_formula(self.formula, period, areas, bodies, self._names, bounds)
+        self._compiled = compile_formula(formula, period, areas, bodies, self._names, bounds)
         self._possible = compute_range(make_term(self.formula, period, areas), bounds or {})
         self.period, self.reach, self._first = period, self.formula.reach(period), self.formula.first_look(period)
         self._memory = np.zeros((1, self._compiled.size))
+        self._conjuncts = np.zeros((1, 2 * len(formula.conjuncts())))
         self._sample: Any = np.zeros((1, len(self._names)))
         self._format = f"{len(self._names)}d"
         self.reset()
@@ -78,12 +79,20 @@ class Monitor:
         low, high = self.ends = self._possible
         self.interval = settle_tie(low), settle_tie(high)
         if self._first > 0:  # the parts say what is possible before the first sample counts
-            update_world(*self._compiled, self._memory, 0, self._sample)
+            update_world(*self._compiled, self._memory, 0, self._sample, self._conjuncts)
 
     @property
     def memory(self) -> np.ndarray:
         """Return what is remembered of the samples, as the compiled functions take it, shape (1, numbers)."""
         return self._memory
+
+    @property
+    def conjuncts(self) -> list[float]:
+        """Return lower and upper end of the interval of every conjunct of the formula, one after another [m].
+
+        Before the first sample of the formula they say nothing.
+        """
+        return self._conjuncts[0].tolist()
 
     @property
     def parts(self) -> np.ndarray:
@@ -133,6 +142,7 @@ class Monitor:
             raise InputError(f"sample: signal '{name}' is {value}; it must be finite")
         if self.count >= self._first:  # no sample before it changes anything
             pack_into(self._format, self._sample, 0, *values)
-            self.interval, self.ends = update_world(*self._compiled, self._memory, self.count, self._sample)
+            known = self._memory, self.count, self._sample, self._conjuncts
+            self.interval, self.ends = update_world(*self._compiled, *known)
         self.count += 1
         return self.interval

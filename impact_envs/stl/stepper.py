@@ -9,6 +9,7 @@ Source: Deshmukh et al. 2017 (see monitor.py).
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from impact_envs.compiled import compiled, inlined
 from impact_envs.stl.alternation import start_alternation, update_threefold, update_twofold
 from impact_envs.stl.compiled_formula import (
+    CONJUNCT,
     EXTREME,
     FIRST,
     HOW,
@@ -153,6 +155,36 @@ def update_monitor(formula: CompiledFormula, memory: Any, k: int, count: int, si
 
 
 @compiled
+def read_conjuncts(formula: CompiledFormula, memory: Any, k: int, conjuncts: Any) -> None:
+    """Write the intervals of robustness still possible of the formula's conjuncts, as the last sample left them.
+
+    Args:
+        formula: from ``compile_formula``.
+        memory: of all worlds, shape (worlds, ``formula.size``).
+        k: the world.
+        conjuncts: takes lower and upper end of each, shape (worlds, 2 conjuncts).
+    """
+    root = formula.root
+    low = high = math.inf
+    part = 0
+    for i in range(root.shape[0]):
+        kind, slot, place = root[i, KIND], root[i, SLOT] & PLACE, 2 * root[i, CONJUNCT]
+        if i > 0 and root[i - 1, CONJUNCT] != root[i, CONJUNCT]:
+            low = high = math.inf  # what the least starts from
+        if kind == PUSH:
+            memory[k, slot], memory[k, slot + 1] = low, high
+        else:
+            if kind == POP:
+                a, b = low, high
+                low, high = memory[k, slot], memory[k, slot + 1]
+            else:
+                a, b = memory[k, part], memory[k, part + 1]
+                part += 2
+            low, high = combine(root[i, HOW], low, a), combine(root[i, HOW], high, b)
+        conjuncts[k, place], conjuncts[k, place + 1] = settle_tie(low), settle_tie(high)
+
+
+@compiled
 def update_world(
     root: np.ndarray,
     nodes: np.ndarray,
@@ -164,12 +196,17 @@ def update_world(
     memory: np.ndarray,
     count: int,
     sample: np.ndarray,
+    conjuncts: np.ndarray,
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """``update_monitor`` of a single world, for Python, which hands over arrays faster than a NamedTuple of them.
+
+    Args:
+        conjuncts: takes what ``read_conjuncts`` writes, shape (1, 2 conjuncts).
 
     Returns:
         Lower and upper end, and both again with ties marked.
     """
     formula = CompiledFormula(root, nodes, starts, code, columns, numbers, size)
     low, high = update_monitor(formula, memory, 0, count, sample)
+    read_conjuncts(formula, memory, 0, conjuncts)
     return (settle_tie(low), settle_tie(high)), (low, high)

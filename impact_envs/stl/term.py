@@ -70,7 +70,7 @@ def make_term(formula: Formula, period: float, areas: Mapping[str, AreaLike], ne
             return make_term(child, period, areas, not negated)
         case And(operands) | Or(operands):
             pick = min if isinstance(formula, And) != negated else max
-            return Combination(pick, tuple(part for child in operands for part in _open(make(child), pick)))
+            return Combination(pick, tuple(part for child in operands for part in list_operands(make(child), pick)))
         case Always(_, child) | Eventually(_, child):
             pick = min if isinstance(formula, Always) != negated else max
             return _merge(Operator(pick, *formula.window(period), (make(child),)))
@@ -79,7 +79,13 @@ def make_term(formula: Formula, period: float, areas: Mapping[str, AreaLike], ne
     return make(formula.define())
 
 
-def _open(term: Term, pick: Pick) -> tuple[Term, ...]:
+def list_operands(term: Term, pick: Pick) -> tuple[Term, ...]:
+    """Return the terms of which a term is the least, or the greatest: itself if it is no such combination.
+
+    Args:
+        term: any.
+        pick: min or max.
+    """
     return term.children if isinstance(term, Combination) and term.pick is pick else (term,)
 
 
@@ -100,7 +106,7 @@ def split_operators(term: Term) -> Term:
         term: any; operators of formulas without temporal operators stay whole.
     """
     if isinstance(term, Combination):
-        opened = [part for child in term.children for part in _open(split_operators(child), term.pick)]
+        opened = [part for child in term.children for part in list_operands(split_operators(child), term.pick)]
         return Combination(term.pick, tuple(opened))
     if not isinstance(term, Operator) or len(term.children) == 2:
         return term
@@ -136,7 +142,9 @@ def _distribute(term: Combination) -> list[Term]:
     if len(inside) != 1:
         return [term]
     rest = tuple(child for child in term.children if child is not inside[0])
-    parts: list[Term] = [Combination(term.pick, (*rest, *_open(part, term.pick))) for part in join_states(inside[0])]
+    parts: list[Term] = [
+        Combination(term.pick, (*rest, *list_operands(part, term.pick))) for part in join_states(inside[0])
+    ]
     counts = [len(set(_walk_operators(part))) for part in (term, *parts)]
     return parts if counts[0] > max(counts[1:]) == 1 else [term]
 

@@ -103,7 +103,7 @@ def test_vector_envs_in_every_autoreset_mode(name, mode):
 
 def test_vector_env_by_spawn():
     envs = gymnasium.make_vec(
-        "impact_envs:impact_envs/Corridor-v1",
+        f"impact_envs:{gym_id('corridor')}",
         num_envs=2,
         vectorization_mode="async",
         vector_kwargs={"context": "spawn"},

@@ -108,7 +108,7 @@ def test_a_lost_world_ends_as_a_lost_environment_and_starts_again(mode):
     assert (infos["robustness"][1], infos["success"][1]) == (told["snap"]["robustness"], False)
     assert rewards[1] == sum(expected.values())
     ending = infos["final_obs"] if mode == "SameStep" else observations
-    assert np.array_equal(ending[1], env.task.observe_jointly(env.time, env.bounds))
+    assert np.array_equal(ending[1], env.task.observe_jointly(env.time, env.conjuncts))
     observations, _, terminated, *_ = worlds.step(still)
     assert np.isfinite(observations).all()
     assert not terminated.any()

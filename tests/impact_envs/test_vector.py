@@ -143,7 +143,7 @@ def test_world_k_is_the_single_environment_with_seed_plus_k_bit_for_bit(name, su
 
 
 def observe_apart(env):
-    return list(env.parallel.task.observe(env.parallel.time, env.parallel.bounds).values())
+    return list(env.parallel.task.observe(env.parallel.time, env.parallel.conjuncts).values())
 
 
 def test_robustness_at_the_end_is_that_of_the_whole_recorded_episode():
@@ -297,7 +297,8 @@ def test_gymnasium_makes_them():
 def test_a_world_needs_at_most_a_kilobyte_beyond_its_observations(name):
     sizes = [count_bytes(make_worlds(name, worlds).batch) for worlds in (1000, 3000)]
     parts = len(make_worlds(name, 1).batch.parts[0])  # whose intervals are there for critics to read
-    assert 0 < (sizes[1] - sizes[0]) / 2000 <= 1024 + 16 * parts
+    conjuncts = len(load_scenario(name).specification.conjuncts())  # whose intervals are observed
+    assert 0 < (sizes[1] - sizes[0]) / 2000 <= 1024 + 16 * (parts + conjuncts)
 
 
 def count_bytes(batch):

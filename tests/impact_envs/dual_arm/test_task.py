@@ -37,7 +37,7 @@ def test_the_box_is_in_the_state_and_nowhere_in_the_observations():
         assert not near.impacts and not far.impacts
         for name in SCENARIO.agents:
             assert np.array_equal(first[name], second[name])
-    assert np.array_equal(*(env.task.observe_jointly(env.time, env.bounds) for env in (near, far)))
+    assert np.array_equal(*(env.task.observe_jointly(env.time, env.conjuncts) for env in (near, far)))
     difference = np.flatnonzero(near.state() != far.state())
     assert difference.size
     assert set(difference) <= set(range(2 * 22, 3 * 22))  # the box's row

@@ -118,7 +118,7 @@ def test_a_lost_world_ends_as_a_lost_environment_and_starts_again():
     assert terminated.tolist() == [False, True]
     assert infos["failure"].tolist() == ["", told["arm"]["failure"]]
     assert rewards[1] == sum(expected.values())
-    assert np.array_equal(observations[1], env.task.observe_jointly(env.time, env.bounds))
+    assert np.array_equal(observations[1], env.task.observe_jointly(env.time, env.conjuncts))
     observations, _, terminated, *_ = worlds.step(still)
     assert np.isfinite(observations).all()
     assert not terminated.any()

@@ -34,12 +34,12 @@ def play(env, steps, seed=0):
 @pytest.mark.parametrize("name", [f"floating_manipulator{name}" for name in NAMES])
 def test_every_scenario_has_its_gymnasium_id(name):
     title = "".join(word.capitalize() for word in name.split("_"))
-    assert gym_id(name) == f"impact_envs/{title}-v0"
+    assert gym_id(name) == f"impact_envs/{title}-v1"
     env = gymnasium.make(gym_id(name))
     observation, _ = env.reset(seed=0)
     base_too = name.endswith(("thrusters", "near_goal"))
     assert env.action_space.shape == (6 if base_too else 3,)
-    assert observation.shape == (28,)
+    assert observation.shape == (30,)  # two conjuncts
     assert observation.dtype == np.float64
     assert env.unwrapped.parallel.possible_agents == (["arm", "base"] if base_too else ["arm"])
 
@@ -59,7 +59,8 @@ def test_observation_reads_back_what_is_true():
     np.testing.assert_allclose(vector[17:21], states[-2, :4], atol=1e-12)
     assert (math.atan2(vector[22], vector[21]), vector[23]) == pytest.approx((states[-2, 4], states[-2, 5]))
     assert vector[25] == pytest.approx(0.3)
-    assert tuple(vector[26:]) == env.bounds
+    assert vector[26:].tolist() == env.conjuncts
+    assert (min(env.conjuncts[::2]), min(env.conjuncts[1::2])) == env.bounds
     assert np.array_equal(observations["base"], vector)
     assert not np.shares_memory(observations["base"], vector)
 

@@ -25,6 +25,7 @@ from impact_envs.free_flyer.sensing import (
 from impact_envs.stream import draw_doubles, seed_streams
 
 SCENARIO = load_scenario("crew")
+CONJUNCTS = 4  # of its formula
 BODIES, ROBOTS = len(SCENARIO.bodies), len(SCENARIO.robots)
 PERIOD = SCENARIO.control_period
 NOISY = Sensing(PERIOD, 0.005, False, 3)
@@ -205,9 +206,9 @@ def make_observations(states, contacts, fraction, low, high):
     joint = np.full((worlds, make_joint_layout(SCENARIO).size), np.nan)
     own = np.full((worlds, ROBOTS, make_layout(SCENARIO, SCENARIO.agents[0]).size), np.nan)
     for k in range(worlds):
-        write_joint_observation(k, states, contacts, fraction, low, high, joint)
+        write_joint_observation(k, states, contacts, fraction, np.tile([low, high], (worlds, CONJUNCTS)), joint)
         for agent in range(ROBOTS):
-            write_agent_observation(k, agent, joint, own)
+            write_agent_observation(k, agent, BODIES, joint, own)
     return joint, own
 
 
@@ -216,7 +217,7 @@ def test_layout_of_the_observations():
     joint, own = make_observations(states, contacts, 0.25, -1.5, 2.5)
     x, y, vx, vy, heading, omega = np.moveaxis(states, 2, 0)
     blocks = np.stack([x, y, vx, vy, np.cos(heading), np.sin(heading), omega], axis=2)
-    tail = np.tile([0.25, -1.5, 2.5], (3, 1))
+    tail = np.tile([0.25, *[-1.5, 2.5] * CONJUNCTS], (3, 1))
     assert np.allclose(joint, np.hstack([blocks.reshape(3, -1), contacts, tail]), rtol=0, atol=1e-15)
     for agent, name in enumerate(SCENARIO.agents):
         order = [SCENARIO.bodies.index(body) for body in observed_order(SCENARIO, name)]
@@ -235,7 +236,7 @@ def test_fields_stand_where_the_layouts_say():
             assert np.array_equal(vector[layout[name]][[0, 1, 2, 3, 6]], state[[0, 1, 2, 3, 5]])
         assert np.all(vector[layout["contact"]] == felt)
         assert vector[layout["time"]].tolist() == [0.25]
-        assert vector[layout["robustness"]].tolist() == [-1.5, 2.5]
+        assert vector[layout["robustness"]].tolist() == [-1.5, 2.5] * CONJUNCTS
 
 
 def test_robots_together_observe_what_is_measured_once():

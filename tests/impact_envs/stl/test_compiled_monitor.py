@@ -9,7 +9,7 @@ import pytest
 
 from impact_envs.errors import FormulaError, InputError
 from impact_envs.scenario import list_scenarios, load_scenario
-from impact_envs.stl import Monitor, parse
+from impact_envs.stl import And, Monitor, parse
 from impact_envs.stl.compiler import compile_formula, describe_parts
 from impact_envs.stl.stepper import start_monitor, update_monitor
 from impact_envs.stl.verdict import settle_tie
@@ -64,6 +64,37 @@ def check_random_formulas(seed, count):
         for sample in draw_trace(rng, worlds.oracles[0].reach + 3):
             got, want = worlds.update(0, sample[None])
             assert got == want, str(formula)
+
+
+def test_every_conjunct_has_the_interval_that_it_would_have_alone():
+    rng = np.random.default_rng(11)
+    for _ in range(60):
+        parts = [draw_formula(rng, rng.integers(4)) for _ in range(rng.integers(1, 5))]
+        formula = And(tuple(parts)) if len(parts) > 1 else parts[0]
+        bounds, whole = draw_bounds(rng), len(formula.conjuncts())
+        monitor = Monitor(formula, PERIOD, AREAS, BODIES, bounds)
+        alone = [Monitor(part, PERIOD, AREAS, BODIES, bounds) for part in formula.conjuncts()]
+        for sample in draw_trace(rng, monitor.reach + 2):
+            named = dict(zip(NAMES, sample, strict=True))
+            low, high = monitor.update(named)
+            expected = [part.update(named) for part in alone]
+            got = np.reshape(monitor.conjuncts, (whole, 2))
+            assert got.tolist() == [list(interval) for interval in expected], str(formula)
+            assert tuple(got.min(axis=0)) == (low, high)
+
+
+def test_a_reached_subgoal_shows_in_its_conjunct_alone():
+    monitor = Monitor(
+        parse("F[0,1] pop in goal & F[0,1] snap in goal & G[1,1] pop in wall"), 0.1, AREAS, BODIES, BOUNDS
+    )
+    monitor.update(dict.fromkeys(NAMES, 2.0))
+    before = monitor.conjuncts
+    inside = dict.fromkeys(NAMES, 2.0) | {"pop.x": 0.5, "pop.y": 0.5}
+    whole = monitor.interval
+    assert monitor.update(inside) == whole  # says nothing
+    after = monitor.conjuncts
+    assert (before[0], after[0]) == (-1.0, 0.5)
+    assert after[2:] == before[2:]
 
 
 @pytest.mark.parametrize("name", list_scenarios())
