@@ -86,7 +86,7 @@ _VERSIONS = {
     "Relay": 2,
     "RelayResidual": 3,
     "ThrowAndCatch": 1,
-    "ThrowAndCatchResidual": 2,
+    "ThrowAndCatchResidual": 3,
 }
 
 
