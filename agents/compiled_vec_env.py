@@ -12,6 +12,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.residual_vector import ResidualVectorEnv
+from impact_envs.agent_vectors import REAL
 from impact_envs.errors import InputError, choices
 from impact_envs.observation import Layout
 from impact_envs.stream import check_seed
@@ -52,12 +53,17 @@ class CompiledVecEnv(VecEnv):
             actions: in [-1, 1], shape (num_envs, 3 robots), or (num_envs, 3) per robot.
 
         Raises:
-            InputError: another shape.
+            InputError: another shape, or no numbers.
         """
         shape = (self.num_envs, *self.action_space.shape)  # type: ignore[misc]
-        if np.shape(actions) != shape:
-            raise InputError(f"actions have shape {np.shape(actions)}; {shape} is needed")
-        self._actions = np.reshape(actions, (self.worlds.num_envs, -1))
+        needed = f"real numbers of shape {shape} are needed"
+        try:
+            given = np.asarray(actions)
+        except ValueError:
+            raise InputError(f"actions have different lengths; {needed}") from None
+        if given.shape != shape or given.dtype.kind not in REAL:
+            raise InputError(f"actions have shape {given.shape}, {given.dtype}; {needed}")
+        self._actions = given.reshape(self.worlds.num_envs, -1)
 
     def close(self) -> None:
         """Close the worlds."""

@@ -17,13 +17,15 @@ class TooManyEvents(SimulationFailed):
 
     Args:
         events: how many were followed.
+        body: that had the last impact, if there was one.
     """
 
-    def __init__(self, events: int) -> None:
-        super().__init__(events)  # what a copy is made with
+    def __init__(self, events: int, body: str = "") -> None:
+        super().__init__(events, body)  # what a copy is made with
 
     def __str__(self) -> str:
-        return f"more than {self.args[0]} events in a control period"
+        events, body = self.args
+        return f"more than {events} events in a control period" + (f", the last of them of {body}" if body else "")
 
 
 class NotFinite(SimulationFailed):

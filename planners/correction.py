@@ -42,12 +42,17 @@ def spread_corrections(worlds: np.ndarray, corrections: np.ndarray, awaiting: np
         Shape (N, size).
 
     Raises:
-        InputError: another shape, a value that is not finite, or a world that awaits none; the first world is named.
+        InputError: another shape, a value that is not finite, no such world, or one that awaits none; the first world
+            is named.
     """
-    chosen, values = np.arange(len(awaiting))[np.asarray(worlds)], np.asarray(corrections, dtype=float)
-    needed = len(chosen), size
-    if values.shape != needed:
-        raise InputError(f"corrections of shape {values.shape}: finite numbers of shape {needed} are needed")
+    chosen = choose_worlds(worlds, len(awaiting))
+    needed = f"finite numbers of shape {(len(chosen), size)} are needed"
+    try:
+        values = np.asarray(corrections, dtype=float)
+    except (ValueError, TypeError):  # of different lengths, or text
+        raise InputError(f"corrections: {needed}") from None
+    if values.shape != (len(chosen), size):
+        raise InputError(f"corrections of shape {values.shape}: {needed}")
     for k in chosen[~awaiting[chosen]].tolist():
         raise InputError(f"world {k} awaits no correction now; see awaiting_correction")
     for k, row in zip(chosen.tolist(), values, strict=True):
@@ -56,3 +61,31 @@ def spread_corrections(worlds: np.ndarray, corrections: np.ndarray, awaiting: np
     spread = np.full((len(awaiting), size), np.nan)
     spread[chosen] = np.clip(values, -1.0, 1.0)
     return spread
+
+
+def choose_worlds(worlds: np.ndarray, count: int) -> np.ndarray:
+    """Return the numbers of some of N worlds, shape (m,).
+
+    Args:
+        worlds: a mask, shape (N,) bool, or their numbers, each once, shape (m,).
+        count: N.
+
+    Raises:
+        InputError: neither of them.
+    """
+    needed = f"a mask of shape ({count},), or numbers from 0 to {count - 1}, each once, are needed"
+    try:
+        chosen = np.asarray(worlds)
+    except ValueError:  # of different lengths
+        raise InputError(f"worlds: {needed}") from None
+    if chosen.dtype == bool and chosen.shape == (count,):
+        return np.flatnonzero(chosen)
+    if chosen.size == 0 and chosen.ndim == 1:  # an empty list is one of floats
+        return np.zeros(0, np.int64)
+    if chosen.dtype.kind not in "iu" or chosen.ndim != 1:
+        raise InputError(f"worlds of shape {chosen.shape}, {chosen.dtype}: {needed}")
+    for k in chosen[(chosen < 0) | (chosen >= count)].tolist():
+        raise InputError(f"world {k} does not exist: {needed}")
+    if len(np.unique(chosen)) < len(chosen):
+        raise InputError(f"worlds {np.array2string(chosen, threshold=8)}: {needed}")
+    return chosen

@@ -105,6 +105,7 @@ def solve(
     solver: str = "highs",
     squares: Squares = (),
     work: Work | None = None,
+    nodes: int | None = None,
 ) -> Solution:
     r"""Minimise a mixed-integer model with linear rows: objective + sum_i w_i e_i(x)^2.
 
@@ -115,6 +116,7 @@ def solve(
         solver: a key of `SOLVERS`.
         squares: pairs (w_i, e_i) of a weight >= 0 and an expression; not for HiGHS.
         work: counts this solution and limits its nodes; of HiGHS alone it is the same on every machine.
+        nodes: of branch and bound, above which the best point so far is returned; None: as many as the work allows.
 
     Returns:
         The best point and the proven bound.
@@ -125,7 +127,8 @@ def solve(
         SolverFailed: no point within the limits, no licence, or squares given to HiGHS.
         OutOfWork: no more work is allowed.
     """
-    outcome = _run(model, Limits(time_limit, relative_gap, work.nodes if work else None), solver, squares, work)
+    limits = [count for count in (nodes, work.nodes if work else None) if count is not None]
+    outcome = _run(model, Limits(time_limit, relative_gap, min(limits, default=None)), solver, squares, work)
     if outcome.x is None:
         status = f"{SOLVERS[solver].title}: {outcome.status}, no solution found"
         raise SolverFailed(model.name, status, "raise the time limit")

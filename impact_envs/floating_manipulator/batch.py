@@ -153,7 +153,7 @@ class ManipulatorBatch:
         texts = np.full(self.count, "", dtype=object)
         for k in np.flatnonzero(self.failed).tolist():
             lost = self._worlds.progress["lost"][k]
-            texts[k] = str(NotFinite(self._find_lost(k)) if lost else TooManyEvents(EVENTS))
+            texts[k] = str(NotFinite(self._find_lost(k)) if lost else TooManyEvents(EVENTS, "box"))
         return texts
 
     def seed(self, worlds: np.ndarray, seeds: Sequence[int] | np.ndarray) -> None:

@@ -219,7 +219,7 @@ class FloatingManipulatorModel:
             status, progress = advance_to_impact(self._system, law, force, *rest)
         self._touching = progress.touching
         if status == ENDLESS:
-            raise TooManyEvents(EVENTS)
+            raise TooManyEvents(EVENTS, "box")
 
     def _collect(self, period: float, progress: Progress) -> tuple[Any, ...]:
         """Return the arguments of `hold_controls`."""

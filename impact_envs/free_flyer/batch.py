@@ -35,6 +35,7 @@ from impact_envs.free_flyer.worlds import (
     OVERFLOW,
     ROW,
     STEPS,
+    STRUCK,
     Worlds,
     make_arena,
     make_scratch,
@@ -128,7 +129,7 @@ class BatchViews:
         texts = np.full(self.count, "", dtype=object)
         for k in np.flatnonzero(self.failed.tolist()).tolist():
             if self._worlds.counter[k, LOST] == 0:
-                texts[k] = str(TooManyEvents(EVENTS))
+                texts[k] = str(TooManyEvents(EVENTS, ("", *self.scenario.bodies)[int(self._worlds.counter[k, STRUCK])]))
                 continue
             try:
                 check_finite(np.array(self._worlds.state[k, :, :6].tolist()), self.scenario.bodies)

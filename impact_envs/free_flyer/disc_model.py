@@ -19,6 +19,7 @@ from impact_envs.free_flyer.worlds import (
     OVERFLOW,
     ROW,
     STEPS,
+    STRUCK,
     make_arena,
     make_scratch,
     make_worlds,
@@ -105,7 +106,7 @@ class DiscModel:
         held = read_commands(controls, self._robots, self._limits, "control")
         step_alone(*self._arrays, held, self._states)
         if self._worlds.counter[0, OVERFLOW]:
-            raise TooManyEvents(EVENTS)
+            raise TooManyEvents(EVENTS, ("", *self.scenario.bodies)[self._worlds.counter[0, STRUCK]])
         hits = int(self._worlds.counter[0, HITS])
         return [self._impact(row) for row in self._log[0, :hits].tolist()] if hits else []
 

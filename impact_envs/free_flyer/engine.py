@@ -34,6 +34,7 @@ from impact_envs.free_flyer.worlds import (
     ROOM,
     SINCE,
     STEPS,
+    STRUCK,
     TIME,
     Arena,
     Scratch,
@@ -58,7 +59,7 @@ def step_world(arena: Arena, worlds: Worlds, scratch: Scratch, log: np.ndarray, 
         k: which world.
     """
     n = arena.discs.shape[0]
-    worlds.counter[k, HITS] = 0
+    worlds.counter[k, HITS] = worlds.counter[k, STRUCK] = 0
     for pair in range(worlds.held.shape[1]):
         worlds.held[k, pair, 0] = worlds.held[k, pair, 1] = 0.0
     for i in range(n):

@@ -24,6 +24,7 @@ from impact_envs.free_flyer.worlds import (
     PARTING,
     PARTING_GOAL,
     STEPS,
+    STRUCK,
     TIME,
     Arena,
     I,
@@ -166,6 +167,7 @@ def log_impact(
         worlds.state[k, j, FELT] = max(worlds.state[k, j, FELT], speed)
     place = worlds.counter[k, HITS]
     worlds.counter[k, HITS] += 1
+    worlds.counter[k, STRUCK] = i + 1
     if place < log.shape[1]:
         log[k, place, 0] = worlds.counter[k, STEPS] * arena.period + t
         log[k, place, 1], log[k, place, 2] = i, j

@@ -256,7 +256,8 @@ class FreeFlyerModel:
                 body.ax, body.ay, body.alpha = acceleration
             if t >= period:
                 return impacts
-        raise TooManyEvents(EVENTS)
+        last = (impacts[-1].a, impacts[-1].b) if impacts else ("", "")
+        raise TooManyEvents(EVENTS, last[0] if last[0] in self.scenario.bodies else last[1])
 
     def _find_near_pairs(self, h: float) -> list[Pair]:
         """Return the pairs that could touch within h (circles round the bodies, grown by their motion)."""

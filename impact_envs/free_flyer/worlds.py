@@ -39,7 +39,7 @@ SINCE, LINE_X, LINE_Y, LINE_VX, LINE_VY = range(BODY_COLUMNS, BODY_COLUMNS + 5)
 # Columns of Worlds.thruster after those of Physics.thruster: what on/off thrusters owe in Fx, Fy, in full pulses.
 OWED = THRUSTER_COLUMNS
 # Columns of Worlds.counter.
-STEPS, HITS, OVERFLOW, LOST = range(4)
+STEPS, HITS, OVERFLOW, LOST, STRUCK = range(5)
 # Columns of Scratch.motion: commands, then accelerations by thrusters and drift; the same with lasting contacts,
 # changes of velocity by impulses and by their compression, how far from its centre of mass a body can come [m].
 HELD, ACCELERATION, CHANGE, COMPRESSION, ROOM = range(0, 15, 3)
@@ -91,7 +91,7 @@ class Worlds(NamedTuple):
         held: impulse on the second body of each pair by lasting contacts in the last control period, shape
             (N, pairs, 2), or no pairs where nobody reads it [N s].
         counter: control periods since reset, impacts in the last one, whether its events did not end, whether a state
-            is no finite number any more, shape (N, 4).
+            is no finite number any more, body of the last impact in the last one plus one or 0, shape (N, 5).
     """
 
     state: np.ndarray
@@ -168,7 +168,7 @@ def make_worlds(
         thruster=np.zeros((count, arena.robots if gains or arena.on_off else 0, OWED + 2), dtype),
         contact=np.zeros((count, CONTACT_COLUMNS), dtype),
         held=np.zeros((count, len(arena.pairs) if held else 0, 2), dtype),
-        counter=np.zeros((count, 4), np.int64),
+        counter=np.zeros((count, 5), np.int64),
     )
 
 

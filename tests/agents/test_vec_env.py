@@ -311,6 +311,10 @@ def test_bad_actions_are_refused_and_nothing_is_stepped():
     twin.reset()
     with pytest.raises(InputError, match=r"\(6, 3\)"):
         envs.step(np.zeros((6, 3), np.float32))
+    with pytest.raises(InputError, match="different lengths"):
+        envs.step([[0.0] * 6, *[[0.0]] * (WORLDS - 1)])
+    with pytest.raises(InputError, match="real numbers"):
+        envs.step(np.full((WORLDS, 6), "a"))
     actions = draw_actions()[0]
     wrong = actions.copy()
     wrong[2, 4] = np.nan

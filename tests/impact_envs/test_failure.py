@@ -28,7 +28,7 @@ def test_the_first_body_that_is_not_finite_is_named():
         check_finite(states, ("a", "b", "c"))
 
 
-@pytest.mark.parametrize("failure", [NotFinite("b"), TooManyEvents(7)])
+@pytest.mark.parametrize("failure", [NotFinite("b"), TooManyEvents(7), TooManyEvents(7, "b")])
 def test_a_copied_failure_says_the_same(failure):
     for copied in (copy.deepcopy(failure), pickle.loads(pickle.dumps(failure))):
         assert (type(copied), str(copied)) == (type(failure), str(failure))

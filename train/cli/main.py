@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             show(result)
     except BrokenPipeError:  # who read it has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
+    return int(result.get("accepted") is False)  # a plan that was checked
 
 
 def _parse(arguments: list[str]) -> Command:

@@ -53,7 +53,7 @@ class Command:
     plot: Path | None = None
     """Draw the plan: a file ending in .png, .pdf or .svg."""
     check: Path | None = None
-    """Plan nothing: say what this plan breaks, a JSON file or a folder of published CSV files."""
+    """Plan nothing: say what this plan breaks, a JSON file or a folder of published CSV files; exit 1 if refused."""
     rename: tuple[str, ...] = ()
     """With --check: names of bodies in a published plan, PLAN=SCENARIO, where roles and starts do not tell them."""
     json: bool = False

@@ -57,7 +57,7 @@ COLUMNS = {
     "restitution_spread": "its spread",
     "drift": "drift [m/s²]",
 }
-SKIPPED = ("scenarios", "rows", "paired", "plans", "domain", "wrote")
+SKIPPED = ("scenarios", "rows", "paired", "plans", "domain", "unit")
 
 
 def show(result: dict[str, Any]) -> None:
@@ -75,7 +75,8 @@ def show(result: dict[str, Any]) -> None:
         # Rather broken by the terminal than cut.
         least = Measurement.get(console, console.options.update(max_width=1000), table).minimum
         console.print(table, width=max(console.width, least), crop=False)
-    lines = _Lines(console, _find_units(result.get("domain", "")))
+    units = _find_units(result.get("domain", ""))
+    lines = _Lines(console, units | ({"robustness": result["unit"]} if "unit" in result else {}))
     for key, value in result.items():
         if key in SKIPPED or (key in ("set", "failure", "renamed", "violations") and not value):
             continue

@@ -158,6 +158,8 @@ def _explain(episode: Any, scenario: Scenario, policy: str) -> dict[str, str]:
 def _summarize(episode: Any, scenario: Scenario, suite: str) -> dict[str, Any]:
     import numpy as np
 
+    from impact_envs.picture.unit import find_unit
+
     ms = episode.solve_seconds * 1e3
     names = {"p50": 0.5, "p99": 0.99, "max": 1.0}
     quantiles = {name: round(float(np.quantile(ms, q)), 4) for name, q in names.items()} if len(ms) else None
@@ -168,6 +170,7 @@ def _summarize(episode: Any, scenario: Scenario, suite: str) -> dict[str, Any]:
         "policy": episode.policy,
         "seed": episode.seed,
         "robustness": episode.robustness,
+        "unit": find_unit(scenario.specification),
         "success": episode.success,
         "failure": episode.failure,
         "impacts": [

@@ -131,7 +131,11 @@ class PlanningProcesses:
         if least is not None and (not least.asked or len(self._workers) >= self._most):
             return least
         process = subprocess.Popen(
-            [sys.executable, "-c", _PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [sys.executable, "-c", _PROGRAM],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            process_group=0,  # Ctrl-C in a terminal is for the owner, who ends it
         )
         lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         thread = threading.Thread(target=_forward, args=(process.stdout, lines), daemon=True)

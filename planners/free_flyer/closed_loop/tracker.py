@@ -14,6 +14,7 @@ from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
 from planners.free_flyer.closed_loop.avoidance import NO_TARGET, avoid_bodies, hold_barrier
 from planners.free_flyer.next_impact.replanner import find_law
 from planners.free_flyer.tracking.course import evaluate_course
+from planners.free_flyer.tracking.course_sampling import sample_course
 from planners.free_flyer.tracking.lqr import solve_lqr
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT, NO_JUMP, STAGES, Workspace, solve_tracking
 
@@ -68,22 +69,23 @@ def apply_solution(
     if options.tracker != BY_LQR:
         shifted, solved = memory.shifted[k, r], workspace.solved[c]
         if solved > 0:
-            for j in range(solved):
+            left = solved
+            for i in range(3):
+                actions[k, r, i] = workspace.solution[c, i]
+            for j in range(solved - 1):
                 for i in range(3):
-                    shifted.inputs[j, i] = workspace.solution[c, 3 * j + i]
-            shifted.count = solved
+                    shifted.inputs[j, i] = workspace.solution[c, 3 * (j + 1) + i]
         elif shifted.count > 0:
+            left = shifted.count
             memory.counts[k].shifted_plan += 1
-        else:
-            memory.counts[k].lqr += 1
-        left = shifted.count
-        if left > 0:
             for i in range(3):
                 actions[k, r, i] = shifted.inputs[0, i]
             for j in range(left - 1):
                 for i in range(3):
                     shifted.inputs[j, i] = shifted.inputs[j + 1, i]
-            shifted.count = left - 1
+        else:
+            memory.counts[k].lqr += 1
+        shifted.count = max(left - 1, 0)
     if left == 0:
         feed_back(plan, memory, workspace, c, k, r, actions)
     g, cos, sin = pilot[GAIN], math.cos(heading), math.sin(heading)
@@ -158,24 +160,21 @@ def fill_reference(plan: PlanTable, memory: WorldMemory, workspace: Workspace, c
         jump[0], jump[1], jump[2] = strike.normal[0], strike.normal[1], gain
         jump[3] = strike.normal[0] * strike.object_minus[0] + strike.normal[1] * strike.object_minus[1]
     workspace.node[c] = node
-    cos, sin, t = math.cos(heading), math.sin(heading), now
+    cos, sin = math.cos(heading), math.sin(heading)
     curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
+    before = STAGES + 1 if node == NO_JUMP else node + 1
+    sample_course(memory.course[k, r], plan.breaks, curves, r, now, durations, before, states)
     for j in range(STAGES + 1):
-        bounced = node != NO_JUMP and j > node
+        bounced = j >= before
         if bounced:
             plus = memory.strike[k, o].robot_plus
             plus_x, plus_y = plus[0], plus[1]
             states[j, 0] = states[j - 1, 0] + durations[j - 1] * plus_x
             states[j, 1] = states[j - 1, 1] + durations[j - 1] * plus_y
             states[j, 3], states[j, 4] = plus_x, plus_y
-        else:
-            motion = evaluate_course(memory.course[k, r], plan.breaks, curves, r, t)
-            states[j, 0], states[j, 1], states[j, 3], states[j, 4] = motion[0], motion[1], motion[2], motion[3]
         states[j, 2], states[j, 5] = plan.body[r].heading, 0.0
         if j > 0:
             scale = 0.0 if bounced else mass / max(durations[j - 1], 1e-9)
             fx, fy = scale * (states[j, 3] - states[j - 1, 3]), scale * (states[j, 4] - states[j - 1, 4])
             inputs[j - 1, 0], inputs[j - 1, 1] = cos * fx + sin * fy, cos * fy - sin * fx
             inputs[j - 1, 2] = 0.0
-        if j < STAGES:
-            t += durations[j]

@@ -20,7 +20,14 @@ import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
 from planners.errors import Infeasible
-from planners.free_flyer.nominal.event_sequence import Hitter, Word, compute_impact_caps, compute_speed_caps
+from planners.free_flyer.nominal.event_sequence import (
+    ANYBODY,
+    Hitter,
+    Word,
+    compute_impact_caps,
+    compute_speed_caps,
+    find_own,
+)
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.central_hit import find_central_impulses
 from planners.free_flyer.specification.direction import AXES, DIRECTIONS
@@ -117,6 +124,7 @@ def build_event_grid(
     pieces: int = 1,
     word: Word | None = None,
     elastic: bool = False,
+    sharp: bool = False,
 ) -> EventGrid:
     """Build the model of all motions with a given number of impacts, without any formula or distances.
 
@@ -128,6 +136,7 @@ def build_event_grid(
         pieces: number of pieces per leg.
         word: who hits what at each impact; None: anybody anything.
         elastic: whether speeds, and rows that are added in parts, may be violated; see `Model`.
+        sharp: whether speeds of several objects are capped by what the word says of their first and last impacts.
 
     Returns:
         The grid; `add_demands` adds the formula, the stages their objectives, `solve_apart` the distances.
@@ -151,7 +160,9 @@ def build_event_grid(
         sides=[[model.binary() for _ in DIRECTIONS] for _ in range(impacts)],
         objects=objects,
         caps={
-            name: [cap for cap in compute_speed_caps(scenario, name, impacts, reserves, word) for _ in range(pieces)]
+            name: [
+                cap for cap in compute_speed_caps(scenario, name, impacts, reserves, word, sharp) for _ in range(pieces)
+            ]
             for name in objects
         },
         speeds={name: reserves.cruise(robot) for name, robot in scenario.robots.items()},
@@ -170,7 +181,8 @@ def build_event_grid(
         _add_rest_rows(grid, scenario)
     _add_speed_rows(grid)
     for name in objects:
-        _add_hitter_rows(grid, name, compute_impact_caps(scenario, name, impacts, reserves))
+        own = find_own(word, name) if sharp and word is not None else None
+        _add_hitter_rows(grid, name, compute_impact_caps(scenario, name, impacts, reserves, own))
     return grid
 
 
@@ -187,6 +199,8 @@ def _add_times(
 
 def _add_hits(model: Model, scenario: FreeFlyerScenario, given: Hitter | None) -> dict[Hitter, Affine | float]:
     pairs = itertools.product(scenario.robots, scenario.objects)
+    if given is not None and given[0] == ANYBODY:
+        return {pair: model.binary() if pair[1] == given[1] else 0.0 for pair in pairs}
     return {pair: model.binary() if given is None else float(pair == given) for pair in pairs}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from planners.plan import PlannedImpact
 
 Hitter = tuple[str, str]  # robot, object
 Word = tuple[Hitter, ...]  # who hits what, in the order of time
+ANYBODY = ""  # stands in a word for whichever robot it is
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,11 @@ def own_events(word: Word, name: str) -> list[int]:
         name: of the object.
     """
     return [0, *(k for k, (_, struck) in enumerate(word, start=1) if struck == name), len(word) + 1]
+
+
+def find_own(word: Word, name: str) -> list[int]:
+    """Return the numbers of an object's impacts in a word, from 0."""
+    return [k for k, (_, struck) in enumerate(word) if struck == name]
 
 
 def make_object_curve(sequence: EventSequence, name: str) -> Curve:
@@ -114,7 +121,7 @@ def compute_impacts(scenario: FreeFlyerScenario, sequence: EventSequence) -> tup
 
 
 def compute_impact_caps(
-    scenario: FreeFlyerScenario, name: str, impacts: int, reserves: Reserves
+    scenario: FreeFlyerScenario, name: str, impacts: int, reserves: Reserves, own: Sequence[int] | None = None
 ) -> dict[str, list[float]]:
     r"""Return, per robot, the greatest speed per axis that an object may have before and after each impact by it.
 
@@ -129,6 +136,8 @@ def compute_impact_caps(
         name: of the object.
         impacts: number K of impacts.
         reserves: what the plan keeps in hand.
+        own: numbers of the impacts on this object, from 0, where they are known; None: all of the only object's, else
+            unknown.
 
     Returns:
         Robot to K speeds [m/s].
@@ -137,37 +146,50 @@ def compute_impact_caps(
     """
     body = scenario.objects[name]
     start = max(map(abs, body.start_velocity))
+    if own is None:
+        own = range(impacts if len(scenario.objects) == 1 else 0)
     caps = {}
     for hitter, robot in scenario.robots.items():
         m1, m2, m3, m4 = compute_mass_fractions(robot.mass, body.mass, scenario.believed.restitution)
         limit, through = reserves.cruise(robot), abs(m2 - m1 * m4 / m3)
         at_impact = [limit / max((1 + abs(m4)) / m3, abs(m1) / m3 + through)] * impacts
-        if impacts and len(scenario.objects) == 1:
+        if own:
             room = (limit - abs(m4) / m3 * start) / (1 / m3), (limit - through * start) / max(abs(m1) / m3, 1e-9)
-            at_impact[0] = max(0.0, min(room))
-            if impacts > 1 and body.rest:
-                at_impact[-1] = limit / max(abs(m4) / m3, through, 1e-9)
+            at_impact[own[0]] = max(0.0, min(room))
+            if len(own) > 1 and body.rest:
+                at_impact[own[-1]] = limit / max(abs(m4) / m3, through, 1e-9)
         caps[hitter] = at_impact
     return caps
 
 
 def compute_speed_caps(
-    scenario: FreeFlyerScenario, name: str, impacts: int, reserves: Reserves, word: Word | None = None
+    scenario: FreeFlyerScenario,
+    name: str,
+    impacts: int,
+    reserves: Reserves,
+    word: Word | None = None,
+    sharp: bool = False,
 ) -> list[float]:
     """Return the greatest speed per axis of every leg of an object, whoever of those who may hit it does.
 
     Args:
         scenario, name, impacts, reserves: as for `compute_impact_caps`.
         word: who hits what at each impact; None: anybody anything.
+        sharp: whether the word tells which impacts are an object's first and last, see `find_own`.
 
     Returns:
         K + 1 speeds [m/s]; zero where the object rests. One that moves at the start may go on as fast on any leg, if
         it is not the only one.
     """
-    body, each = scenario.objects[name], compute_impact_caps(scenario, name, impacts, reserves)
+    known = find_own(word, name) if sharp and word is not None else None
+    body, each = scenario.objects[name], compute_impact_caps(scenario, name, impacts, reserves, known)
     start = max(map(abs, body.start_velocity))
     at_impact = [max(caps) for caps in zip(*each.values(), strict=True)]
-    own = {k: each[robot][k] for k, (robot, struck) in enumerate(word or ()) if struck == name}
+    own = {
+        k: at_impact[k] if robot == ANYBODY else each[robot][k]
+        for k, (robot, struck) in enumerate(word or ())
+        if struck == name
+    }
     for k in range(impacts if own else 0):
         # Between two impacts of its own the object keeps its speed.
         before, after = [i for i in own if i <= k][-1:], [i for i in own if i >= k][:1]

@@ -138,6 +138,7 @@ class CostProblem:
         options: how closely the least cost is approached.
         deadline: of `time.perf_counter`, for all of them [s].
         bound: of the cost, proven so far [m^2/s].
+        nodes: of branch and bound in each solution; None: any number.
     """
 
     task: NominalTask
@@ -148,6 +149,7 @@ class CostProblem:
     options: CostOptions
     deadline: float = np.inf
     bound: float = 0.0
+    nodes: int | None = None
 
     def relax(self, nodes: int = 0) -> tuple[float, np.ndarray | None]:
         """Return a lower bound of the cost from the rows added so far, see `compute_lower_bound`."""
@@ -197,7 +199,9 @@ class CostProblem:
         def solve_once() -> np.ndarray:
             nonlocal relaxed
             task = self.task
-            found = solve(self.grid.model, self._find_time_left(), gap / 2, task.solver, work=task.work)
+            found = solve(
+                self.grid.model, self._find_time_left(), gap / 2, task.solver, work=task.work, nodes=self.nodes
+            )
             self.bound, relaxed = max(self.bound, found.bound), found.x
             return solve_cones(self.grid.model, relaxed, self.costs)
 
@@ -218,7 +222,7 @@ class CostProblem:
 
         def solve_bent() -> np.ndarray:
             task, gap = self.task, self.options.straightening_gap
-            return solve(model, self._find_time_left(), gap, task.solver, work=task.work).x
+            return solve(model, self._find_time_left(), gap, task.solver, work=task.work, nodes=self.nodes).x
 
         x = solve_apart(grid, self.task.scenario, self.task.reserves, solve_bent)
         model.objective = cost

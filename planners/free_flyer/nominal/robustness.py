@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from contextlib import suppress
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 
 from planners.budget import Budget
 from planners.errors import Infeasible, PlanningError, SolverFailed
+from planners.free_flyer.nominal.composition import compose_objects, is_large
 from planners.free_flyer.nominal.event_sequence import Hitter, Word
 from planners.free_flyer.nominal.least_cost import CostOptimum, minimise_path_cost
 from planners.free_flyer.nominal.sequence_search import lengthen_words, restrict_to_object, search_words
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
-from planners.free_flyer.nominal.word_grid import solve_word_grid
+from planners.free_flyer.nominal.word_grid import WordGrid, solve_word_grid
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import read_demands
 from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
@@ -34,6 +36,7 @@ class RobustnessOptimum:
         cost_bound: no word has a smaller path cost [m^2/s].
         events: that attain the robustness at any path cost, for when there is no time for the least; of several
             objects only where they need more impacts than one by one.
+        found: grid of objects that are moved one after another, whose alternatives are kept.
     """
 
     size: GridSize
@@ -42,6 +45,7 @@ class RobustnessOptimum:
     words: tuple[Word, ...] = ()
     cost_bound: float = 0.0
     events: CostOptimum | None = None
+    found: WordGrid | None = None
 
 
 def maximise_robustness(
@@ -160,26 +164,45 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
     """
     ceiling = compute_geometric_bound(task.scenario, task.demands, task.solver)
     rho, pieces = ceiling, 1
-    hits: list[tuple[float, Hitter]] = []
+    alone: dict[str, tuple[NominalTask, RobustnessOptimum]] = {}
     for name in task.scenario.objects:
-        alone = restrict_to_object(task.scenario, name)
-        if alone is None:
+        scenario = restrict_to_object(task.scenario, name)
+        if scenario is None:
             continue
-        own = replace(task, scenario=alone, demands=read_demands(alone, task.reserves.wall))
+        own = replace(task, scenario=scenario, demands=read_demands(scenario, task.reserves.wall))
         optimum = maximise_robustness(own, max_impacts, budget, replace(options, expected=None))
         rho, pieces = min(rho, optimum.rho), max(pieces, optimum.size.pieces)
+        alone[name] = own, optimum
+    numbers = {name: optimum.size.impacts for name, (_, optimum) in alone.items()}
+    large = options.thorough and is_large(task, numbers, pieces, options)
+    if large:
+        composed = _compose(task, numbers, max_impacts, pieces, (rho, ceiling), budget, options)
+        if composed is not None:
+            return composed
+    hits: list[tuple[float, Hitter]] = []
+    for own, optimum in alone.values():
         events = optimum.events
         if events is None or options.thorough:
-            events = minimise_path_cost(own, optimum.size, optimum.rho, options.cost, budget.left)
+            # Where this takes long, its events are as good a start as any.
+            limit = budget.left if events is None or not options.thorough else budget.left / 8
+            with suppress(PlanningError) if events is not None and options.thorough else nullcontext():
+                events = minimise_path_cost(own, optimum.size, optimum.rho, options.cost, limit)
+        assert events is not None
         hits += zip(events.sequence.times[1:-1], events.sequence.hitters, strict=True)
     seed = tuple(hitter for _, hitter in sorted(hits))
     if len(seed) <= max_impacts:
         size = GridSize(len(seed), pieces)
         share = 4 if options.thorough else 2
-        found = search_words(task, size, options.joint * rho, seed, lambda: budget.left / share, options)
+        end = budget.elapsed + 0.4 * budget.left if options.thorough else math.inf
+        lost = options.search.lost if options.thorough else None
+        left = lambda: min(budget.left / share, end - budget.elapsed)  # noqa: E731 - the clock of this search
+        found = search_words(task, size, options.joint * rho, seed, left, options, lost)
         if found.words:
             return RobustnessOptimum(size, rho, ceiling, found.words, found.bound)
     if options.thorough:
+        composed = None if large else _compose(task, numbers, max_impacts, pieces, (rho, ceiling), budget, options)
+        if composed is not None:
+            return composed
         longer = _find_longer(task, max_impacts, (rho, ceiling), max(pieces, MANY), seed, budget, options)
         if longer is not None:
             return longer
@@ -190,6 +213,33 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
             return shallow
     fewest = len(seed) if options.expected is None else min(len(seed), options.expected)
     return maximise_robustness(task, max_impacts, budget, options, fewest)
+
+
+def _compose(
+    task: NominalTask,
+    numbers: Mapping[str, int],
+    max_impacts: int,
+    pieces: int,
+    rho: tuple[float, float],
+    budget: Budget,
+    options: PlanOptions,
+) -> RobustnessOptimum | None:
+    """Return the optimum of objects one after another, as robust as may be; None: none was found.
+
+    Args:
+        task, max_impacts, budget, options: as for `maximise_jointly`.
+        numbers: object to the impacts that it needs alone.
+        pieces: per leg.
+        rho: least robustness that the objects attain alone, and its bound [m].
+    """
+    end, shares = budget.elapsed + options.compose.time * budget.left, options.compose.shares
+    for left, share in zip(range(len(shares), 0, -1), shares, strict=True):
+        part = Budget((end - budget.elapsed) / left)
+        kept = max(options.least, share * rho[0]), rho[1]
+        found = compose_objects(task, numbers, max_impacts, pieces, kept, lambda part=part: part.left, options)  # type: ignore[misc]
+        if found is not None:
+            return RobustnessOptimum(GridSize(len(found.grid.hits), pieces), found.rho, rho[1], found=found)
+    return None
 
 
 def _find_shallow(

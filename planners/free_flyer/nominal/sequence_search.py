@@ -41,7 +41,7 @@ def restrict_to_object(scenario: FreeFlyerScenario, name: str) -> FreeFlyerScena
         name: of the object that is kept.
     """
     bodies = {*scenario.robots, name}
-    parts = list(_parts_about(scenario.specification.expand(scenario.bodies), bodies))
+    parts = list(list_parts_about(scenario.specification.expand(scenario.bodies), bodies))
     if not any(name in part.bodies() for part in parts):
         return None
     formula = parts[0] if len(parts) == 1 else And(tuple(parts))
@@ -49,12 +49,13 @@ def restrict_to_object(scenario: FreeFlyerScenario, name: str) -> FreeFlyerScena
     return FreeFlyerScenario(**fields | {"objects": {name: scenario.objects[name]}, "formula": str(formula)})
 
 
-def _parts_about(formula: Formula, bodies: set[str]) -> Iterator[Formula]:
+def list_parts_about(formula: Formula, bodies: set[str]) -> Iterator[Formula]:
+    """Yield the conjuncts, also those within G, that are about no other bodies."""
     if isinstance(formula, And):
         for part in formula.operands:
-            yield from _parts_about(part, bodies)
+            yield from list_parts_about(part, bodies)
     elif isinstance(formula, Always):
-        for part in _parts_about(formula.child, bodies):
+        for part in list_parts_about(formula.child, bodies):
             yield Always(formula.interval, part)
     elif set(formula.bodies()) <= bodies:
         yield formula
@@ -67,13 +68,15 @@ def search_words(
     seed: Word,
     find_time_left: Callable[[], float],
     options: PlanOptions,
+    lost: int | None = None,
 ) -> FoundWords:
     """Search for the words of least path cost that keep a robustness.
 
     A step exchanges two neighbouring impacts or the robot of one impact. A word whose linear relaxation is not better
     than the best word is not solved. The search ends by its numbers of words and nodes, not by the clock, unless the
-    time limit comes first. The bound is that of a search over all words at once, without distances between bodies;
-    where there are many words, that of its linear relaxation.
+    time limit comes first; a thorough one by its work as well, for objects can be moved one after another. The bound
+    is that of a search over all words at once, without distances between bodies; where there are many words, that of
+    its linear relaxation.
 
     Args:
         task: what is asked.
@@ -82,22 +85,29 @@ def search_words(
         seed: word to start from.
         find_time_left: returns the time left [s].
         options: of the search, and of the path cost.
+        lost: greatest number of words while none has a plan; None: as long as any has one.
 
     Returns:
         The words with plans; empty if the search found none.
     """
+    lost = options.search.evaluations if lost is None else lost
     bound, found = 0.0, None
+    most = math.inf
+    if options.thorough and task.work is not None:
+        most = task.work.done + options.search.work
     if options.search.improve:
         bound, found = _bound_cost(task, size, rho, find_time_left(), options)
     starts = [seed] if found is None else [seed, found]
     costs: dict[Word, float] = {}
     for wish in options.cost.wishes:
-        search = _Search(task, size, rho, wish, find_time_left, options)
+        search = _Search(task, size, rho, wish, find_time_left, options, most_work=most, most_lost=lost)
+        if search.is_out_of_work:
+            break
         best = min(starts, key=search.measure)
         if options.search.improve or search.costs[best] == math.inf:
             search.descend(best, bound)
         costs = search.costs
-        if min(costs.values()) < math.inf:
+        if min(costs.values()) < math.inf or search.is_out_of_work:
             break
     ranked = sorted((cost, word) for word, cost in costs.items() if math.isfinite(cost))
     return FoundWords(tuple(word for _, word in ranked), bound)
@@ -148,7 +158,12 @@ def lengthen_words(
 
 @dataclass
 class _Search:
-    """Hold the costs of the words tried under one wish; arguments as for `search_words`."""
+    """Hold the costs of the words tried under one wish; arguments as for `search_words`.
+
+    Args:
+        most_work: total work at which the search ends [units of `Work`].
+        most_lost: greatest number of words while none has a plan.
+    """
 
     task: NominalTask
     size: GridSize
@@ -158,6 +173,13 @@ class _Search:
     options: PlanOptions
     costs: dict[Word, float] = field(default_factory=dict)
     events: dict[Word, CostOptimum] = field(default_factory=dict)
+    most_work: float = math.inf
+    most_lost: int = 60
+
+    @property
+    def is_out_of_work(self) -> bool:
+        """Return whether the work of the search is done."""
+        return self.task.work is not None and self.task.work.done > self.most_work
 
     def measure(self, word: Word, best: float = math.inf) -> float:
         """Return the least cost of a word; infinite if it has no plan, or none better than the best."""
@@ -171,7 +193,8 @@ class _Search:
         while improving and self.costs[best] > (1.0 + options.gap) * bound:
             improving = False
             for word in _list_neighbours(self.task.scenario, best):
-                if len(self.costs) >= options.evaluations or self.find_time_left() <= 0.0:
+                most = options.evaluations if self.costs[best] < math.inf else self.most_lost
+                if len(self.costs) >= most or self.find_time_left() <= 0.0 or self.is_out_of_work:
                     break
                 if self.measure(word, self.costs[best]) < (1.0 - options.gap) * self.costs[best]:
                     best, improving = word, options.improve
@@ -182,6 +205,7 @@ class _Search:
         cost = replace(self.options.cost, tangents=options.tangents, rounds=1)
         try:
             problem = build_cost_problem(self.task, self.size, self.rho, self.wish, cost, limit, word)
+            problem.nodes = options.word_nodes if self.options.thorough else None
             if problem.relax()[0] >= (1.0 - options.gap) * best:
                 return math.inf
             self.events[word] = problem.solve(options.weight, options.gap)

@@ -31,6 +31,7 @@ class NominalTask:
         work: that is counted and limited, if any is.
         frame: whose units the scenario is in.
         waits: least times between events, beyond those of the reserves.
+        sharp: whether speeds of several objects are capped by what a word says of their first and last impacts.
     """
 
     scenario: FreeFlyerScenario
@@ -40,6 +41,7 @@ class NominalTask:
     work: Work | None = None
     frame: Frame = field(default_factory=Frame)
     waits: tuple[Wait, ...] = ()
+    sharp: bool = False
 
     def build(
         self,
@@ -64,7 +66,7 @@ class NominalTask:
         Raises:
             Infeasible: the variable bounds alone exclude every plan.
         """
-        grid = build_event_grid(self.scenario, size.impacts, rho, self.reserves, size.pieces, word, elastic)
+        grid = build_event_grid(self.scenario, size.impacts, rho, self.reserves, size.pieces, word, elastic, self.sharp)
         events = grid.times[:: grid.pieces]
         for wait in self.waits:
             grid.model.require(wait.seconds - (events[wait.second] - events[wait.first]))
@@ -117,6 +119,10 @@ class WordSearchOptions:
         nodes: of the search over all sequences that bounds the cost, where there are few binaries of hits.
         few: greatest number of such binaries; with more, the linear relaxation alone is the bound.
         evaluations: greatest number of sequences tried.
+        lost: greatest number of sequences tried while none has a plan, before objects are moved one after another.
+        word_nodes: of branch and bound in each solution for one sequence, where objects can be moved one after another
+            instead.
+        work: that the search may take then; the shipped scenarios take a quarter to a half of it [units of `Work`].
         improve: whether to look on after the first sequence that has a plan, and to bound the cost.
         longest: time for one sequence of more impacts than the objects need one by one [s].
         most_longer: greatest number of impacts more than that.
@@ -132,12 +138,39 @@ class WordSearchOptions:
     nodes: int = 300
     few: int = 24
     evaluations: int = 60
+    lost: int = 2
+    word_nodes: int = 500
+    work: float = 5e4
     improve: bool = True
     longest: float = 6.0
     most_longer: int = 2
     few_longer: int = 2
     shallow_shares: tuple[float, ...] = (0.6, 0.25)
     longer_shares: tuple[float, ...] = (1.0, 0.6)
+
+
+@dataclass(frozen=True)
+class CompositionOptions:
+    """Choose how objects that are moved one after another are planned.
+
+    Args:
+        shares: of the least robustness that objects attain alone, tried in turn.
+        more_impacts: than an object needs alone, at most.
+        gap: to which an object is done as early as may be, relative; that it is done counts more than when.
+        nodes: of branch and bound for the impacts of one object.
+        longest: wall time for them, so that a busy machine leaves time for the next order [s].
+        binaries: of the model of one sequence, above which this comes before the search over sequences; the shipped
+            scenarios have fewer.
+        time: share of the time left that all orders and shares take.
+    """
+
+    shares: tuple[float, ...] = (1.0, 0.3)
+    more_impacts: int = 1
+    gap: float = 0.1
+    nodes: int = 500
+    longest: float = 20.0
+    binaries: int = 250
+    time: float = 0.8
 
 
 @dataclass(frozen=True)
@@ -174,6 +207,7 @@ class PlanOptions:
             the expert hits once more where less is left. None: always as discs [m].
         cost: of the stage of least path cost.
         search: of the sequences of impacts of several objects.
+        compose: of objects one after another, where that search finds nothing.
         smoothing: of the motions.
     """
 
@@ -185,7 +219,7 @@ class PlanOptions:
     pieces: tuple[int, ...] = (1, 2)
     most_pieces: int = 6
     attempt_share: float = 0.35
-    joint_share: float = 0.6
+    joint_share: float = 0.45
     patience: tuple[float, ...] = (1.05, 1.2, 1.5, 2.0)
     less: tuple[float, ...] = (1.0, 0.85, 0.7, 0.5, 0.3)
     satisfying: float = 0.9
@@ -201,6 +235,7 @@ class PlanOptions:
     central: float | None = 0.02
     cost: CostOptions = field(default_factory=CostOptions)
     search: WordSearchOptions = field(default_factory=WordSearchOptions)
+    compose: CompositionOptions = field(default_factory=CompositionOptions)
     smoothing: SmoothingOptions = field(default_factory=SmoothingOptions)
 
     def order_numbers(self, fewest: int, most: int) -> list[int]:

@@ -12,139 +12,19 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
-from planners.free_flyer.tracking.box_qp import NEWTON_STEPS, NOT_SOLVED, solve_box_qp
+from planners.free_flyer.tracking.box_qp import NEWTON_STEPS, NOT_SOLVED, VECTORS, solve_box_qp
+from planners.free_flyer.tracking.condensing import FORCES, UNKNOWNS, condense, find_unknown
 from planners.free_flyer.tracking.problem import (
     EFFORT,
     ENDLESS,
     FEEDBACK,
     GAIN,
     INPUT_LIMIT,
-    NEAR_WEIGHT,
     NO_JUMP,
     STAGES,
     WEIGHT,
     TrackingTask,
 )
-
-
-@compiled
-def jump(z: np.ndarray, normal: tuple[float, float], gain: float, object_speed: float) -> None:
-    """Apply the impact to a state in place: v+ = v- - c (n . v- - n . v_O) n.
-
-    Args:
-        z: state, shape (6,).
-        normal: unit vector n from robot to object.
-        gain: c = (1 + e) m_O / (m_R + m_O).
-        object_speed: n . v_O [m/s].
-
-    Source: Verhagen & Tumova, Eq. 6, solved for the robot.
-    """
-    kick = gain * (normal[0] * z[3] + normal[1] * z[4] - object_speed)
-    z[3] -= kick * normal[0]
-    z[4] -= kick * normal[1]
-
-
-@compiled
-def push(z: np.ndarray, axis: int, acceleration: float, h: float) -> None:
-    """Add the effect of an acceleration held over a stage to a state in place.
-
-    Args:
-        z: state at the end of the stage, shape (6,).
-        axis: 0, 1, 2 for x, y, heading.
-        acceleration: along that axis [m/s^2, rad/s^2].
-        h: duration of the stage [s].
-    """
-    z[axis] += h * h / 2 * acceleration
-    z[3 + axis] += h * acceleration
-
-
-@compiled
-def push_body(z: np.ndarray, channel: int, u: float, heading: float, gains: np.ndarray, h: float) -> None:
-    """Add the effect of one input channel, given in the body frame, held over a stage, to a state in place.
-
-    Args:
-        z: state at the end of the stage, shape (6,).
-        channel: 0, 1, 2 for Fx, Fy, torque.
-        u: input [N, N m].
-        heading: of the body [rad].
-        gains: acceleration per input, shape (3,).
-        h: duration of the stage [s].
-    """
-    a = gains[channel] * u
-    c, s = math.cos(heading), math.sin(heading)
-    if channel == 0:
-        push(z, 0, c * a, h)
-        push(z, 1, s * a, h)
-    elif channel == 1:
-        push(z, 0, -s * a, h)
-        push(z, 1, c * a, h)
-    else:
-        push(z, 2, a, h)
-
-
-@compiled
-def condense(
-    state: np.ndarray,
-    states: np.ndarray,
-    inputs: np.ndarray,
-    durations: np.ndarray,
-    jump_node: int,
-    impact: np.ndarray,
-    pilot: np.ndarray,
-    Z: np.ndarray,
-    H: np.ndarray,
-    g: np.ndarray,
-) -> None:
-    """Condense the tracking problem into the deviations d = u - u_ref.
-
-    sum_k |x_k - x_ref,k|^2_Q + |d_k|^2_R + |x_N - x_ref,N|^2_P  =  d' H d + 2 g' d + const, with
-    x_{k+1} = A(h_k) x_k + B(h_k) u_k, and the jump of an impact before the stage that starts at its node.
-
-    Args:
-        state: measured state, shape (6,); its heading turns the forces over the whole horizon.
-        states, inputs, durations, jump_node, impact: see `Workspace`.
-        pilot: of the robot, see `TrackingProblem.row`.
-        Z: scratch, shape (31, 6): row i is the sensitivity of the state to input i, the last row the state itself.
-        H: Hessian, written, shape (30, 30).
-        g: gradient at d = 0, written, shape (30,).
-
-    Source: Verhagen & Tumova, Eqs. 6, 31 and 33.
-    """
-    size, stages, heading = len(g), len(durations), state[2]
-    for i in range(size):
-        g[i] = 0.0
-        for j in range(6):
-            Z[i, j] = 0.0
-        for j in range(size):
-            H[i, j] = 0.0
-    for i in range(6):
-        Z[size, i] = state[i]
-    normal, gain = (impact[0], impact[1]), impact[2]
-    for k in range(stages):
-        h = durations[k]
-        for i in range(3 * k + 1):
-            z, speed = (Z[size], impact[3]) if i == 3 * k else (Z[i], 0.0)
-            if k == jump_node and k > 0:
-                jump(z, normal, gain, speed)
-            for axis in range(3):
-                z[axis] += h * z[3 + axis]
-        for channel in range(3):
-            push_body(Z[size], channel, inputs[k, channel], heading, pilot, h)
-            push_body(Z[3 * k + channel], channel, 1.0, heading, pilot, h)
-        W = (WEIGHT if jump_node == NO_JUMP else NEAR_WEIGHT) + (9 if k == stages - 1 else 0)
-        for i in range(3 * k + 3):
-            for axis in range(3):
-                pp, pv, vv = pilot[W + 3 * axis], pilot[W + 3 * axis + 1], pilot[W + 3 * axis + 2]
-                position = pp * Z[i, axis] + pv * Z[i, 3 + axis]
-                velocity = pv * Z[i, axis] + vv * Z[i, 3 + axis]
-                g[i] += position * (Z[size, axis] - states[k + 1, axis])
-                g[i] += velocity * (Z[size, 3 + axis] - states[k + 1, 3 + axis])
-                for j in range(i + 1):
-                    H[i, j] += position * Z[j, axis] + velocity * Z[j, 3 + axis]
-    for i in range(size):
-        H[i, i] += pilot[EFFORT + i % 3]
-        for j in range(i):
-            H[j, i] = H[i, j]
 
 
 class Workspace(NamedTuple):
@@ -162,7 +42,7 @@ class Workspace(NamedTuple):
         solution: inputs of all stages, shape (T, 30) [N, N, N m].
         solved: stages of ``solution`` that were just found; 0 where the solve failed, shape (T,).
         target: object that the robot is to hit, or END, shape (T,).
-        Z, H, L, vectors, free: scratch, shapes (T, 31, 6), (T, 30, 30) twice, (T, 6, 30), (T, 30).
+        Z, H, U, vectors, free: scratch, shapes (T, 6, 31), (T, 30, 30) twice, (T, 9, 30), (T, 2, 30).
         steps: Newton steps allowed, shape (T,).
     """
 
@@ -177,7 +57,7 @@ class Workspace(NamedTuple):
     target: np.ndarray
     Z: np.ndarray
     H: np.ndarray
-    L: np.ndarray
+    U: np.ndarray
     vectors: np.ndarray
     free: np.ndarray
     steps: np.ndarray
@@ -185,7 +65,7 @@ class Workspace(NamedTuple):
 
 def make_workspace(threads: int = 1) -> Workspace:
     """Make room for threads to solve tracking problems in."""
-    T, n = threads, 3 * STAGES
+    T, n = threads, UNKNOWNS
     return Workspace(
         state=np.zeros((T, 6)),
         states=np.zeros((T, STAGES + 1, 6)),
@@ -196,11 +76,11 @@ def make_workspace(threads: int = 1) -> Workspace:
         solution=np.zeros((T, n)),
         solved=np.zeros(T, np.int64),
         target=np.zeros(T, np.int64),
-        Z=np.zeros((T, n + 1, 6)),
+        Z=np.zeros((T, 6, n + 1)),
         H=np.zeros((T, n, n)),
-        L=np.zeros((T, n, n)),
-        vectors=np.zeros((T, 6, n)),
-        free=np.zeros((T, n), np.bool_),
+        U=np.zeros((T, n, n)),
+        vectors=np.zeros((T, 4 + VECTORS, n)),
+        free=np.zeros((T, 2, n), np.int64),
         steps=np.full(T, NEWTON_STEPS),
     )
 
@@ -230,7 +110,7 @@ def solve_freely(workspace: Workspace, c: int, pilot: np.ndarray) -> bool:
         Whether the inputs are within the limits, and so solve the MPC.
     """
     state, states, inputs = workspace.state[c], workspace.states[c], workspace.inputs[c]
-    offset, solution = workspace.Z[c], workspace.solution[c]
+    offset, feed, solution = workspace.Z[c, 0], workspace.Z[c, 1], workspace.solution[c]
     cos, sin, h = math.cos(state[2]), math.sin(state[2]), workspace.durations[c, 0]
     for axis in range(3):
         P, K, g = WEIGHT + 9 + 3 * axis, FEEDBACK + 2 * axis, pilot[GAIN + axis]
@@ -246,15 +126,17 @@ def solve_freely(workspace: Workspace, c: int, pilot: np.ndarray) -> bool:
             position, speed = states[k, axis], states[k, 3 + axis]
             cp = position + h * speed + bp * u - states[k + 1, axis]
             cv = speed + bv * u - states[k + 1, 3 + axis]
+            feed[k], offset[k] = u, 0.0
+            if cp == 0.0 and cv == 0.0 and q == 0.0 and w == 0.0:  # a reference that rests, as every heading does
+                continue
             q, w = q + pp * cp + pv * cv, w + pv * cp + vv * cv
-            offset[k, axis] = bp * q + bv * w
-            offset[k, 3 + axis] = u
+            offset[k] = bp * q + bv * w
             q, w = (1.0 - bp * kp) * q - bv * kp * w, (h - bp * kv) * q + (1.0 - bv * kv) * w
         share = 1.0 / (pilot[EFFORT + axis] + bp * (pp * bp + pv * bv) + bv * (pv * bp + vv * bv))
         position, speed = state[axis], state[3 + axis]
         for k in range(STAGES):
-            d = -kp * (position - states[k, axis]) - kv * (speed - states[k, 3 + axis]) - share * offset[k, axis]
-            u = offset[k, 3 + axis] + d
+            d = -kp * (position - states[k, axis]) - kv * (speed - states[k, 3 + axis]) - share * offset[k]
+            u = feed[k] + d
             position, speed = position + h * speed + bp * u, speed + bv * u
             solution[3 * k + axis] = u
     for k in range(STAGES):
@@ -296,11 +178,11 @@ def solve_tracking(workspace: Workspace, c: int, pilot: np.ndarray) -> bool:
     )
     for k in range(STAGES):
         for i in range(3):
-            at, limit = 3 * k + i, pilot[INPUT_LIMIT + i]
+            at, limit = find_unknown(k, i), pilot[INPUT_LIMIT + i]
             lower[at], upper[at], x[at] = -limit - inputs[k, i], limit - inputs[k, i], 0.0
-    d, trial = workspace.vectors[c, 4], workspace.vectors[c, 5]
-    used = solve_box_qp(H, g, lower, upper, x, workspace.L[c], d, trial, workspace.free[c], workspace.steps[c])
+    scratch = workspace.vectors[c, 4:]
+    used = solve_box_qp(H, g, lower, upper, x, FORCES, workspace.U[c], scratch, workspace.free[c], workspace.steps[c])
     for k in range(STAGES):
         for i in range(3):
-            workspace.solution[c, 3 * k + i] = inputs[k, i] + x[3 * k + i]
+            workspace.solution[c, 3 * k + i] = inputs[k, i] + x[find_unknown(k, i)]
     return used != NOT_SOLVED

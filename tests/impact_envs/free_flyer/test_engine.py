@@ -212,7 +212,7 @@ def test_both_engines_refuse_impacts_that_do_not_end(model_type):
         )
     )
     launch(model, [(1e5, 0.0)])
-    with pytest.raises(TooManyEvents, match="more than 20000 events"):
+    with pytest.raises(TooManyEvents, match="more than 20000 events in a control period, the last of them of a"):
         model.step({"a": np.zeros(3)})
 
 

@@ -59,7 +59,7 @@ def test_out_of_time_for_the_least_effort_the_robust_events_have_to_do(monkeypat
     def late(*_: object) -> None:
         raise SolverFailed("effort", "time limit reached", "raise the time limit")
 
-    monkeypatch.setattr("planners.free_flyer.nominal.planner.minimise_path_cost", late)
+    monkeypatch.setattr("planners.free_flyer.nominal.finishing.minimise_path_cost", late)
     plan = make_plan("throw_and_catch")
     assert plan.robustness == pytest.approx(0.25, abs=1e-6)
     assert plan.gap == 0.0

@@ -5,15 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planners.free_flyer.tracking.box_qp import NEWTON_STEPS, NOT_SOLVED, solve_box_qp
+from planners.free_flyer.tracking.box_qp import NEWTON_STEPS, NOT_SOLVED, VECTORS, solve_box_qp
 
 
 def run(
-    H: np.ndarray, g: np.ndarray, lower: np.ndarray, upper: np.ndarray, steps: int = NEWTON_STEPS
+    H: np.ndarray,
+    g: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    steps: int = NEWTON_STEPS,
+    split: int | None = None,
 ) -> tuple[int, np.ndarray]:
     n = len(g)
-    x, L, d, trial, free = np.zeros(n), np.zeros((n, n)), np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
-    return solve_box_qp(H, g, lower, upper, x, L, d, trial, free, steps), x
+    x, U, vectors, free = np.zeros(n), np.zeros((n, n)), np.zeros((VECTORS, n)), np.zeros((2, n), dtype=np.int64)
+    return solve_box_qp(H, g, lower, upper, x, n if split is None else split, U, vectors, free, steps), x
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -31,6 +36,20 @@ def test_conditions_of_optimality(seed: int) -> None:
     assert np.all(slope[x == lower] >= -1e-8)
     assert np.all(slope[x == upper] <= 1e-8)
     assert np.any((x == lower) | (x == upper))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_two_blocks_are_one_problem(seed: int) -> None:
+    rng, H = np.random.default_rng(seed), np.zeros((30, 30))
+    for block in (slice(0, 20), slice(20, 30)):
+        root = rng.normal(size=(30, 30))[block]
+        H[block, block] = root @ root.T + 0.1 * np.eye(len(root))
+    g, lower, upper = 10 * rng.normal(size=30), -rng.uniform(0.0, 0.5, 30), rng.uniform(0.0, 0.5, 30)
+    whole = run(H, g, lower, upper)
+    H[:20, 20:] = H[20:, :20] = np.nan  # nobody reads it
+    steps, x = run(H, g, lower, upper, split=20)
+    assert steps == whole[0] > 1
+    np.testing.assert_array_equal(x, whole[1])
 
 
 def test_one_newton_step_without_active_bounds() -> None:

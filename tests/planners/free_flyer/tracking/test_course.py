@@ -23,6 +23,7 @@ from planners.free_flyer.tracking.course import (
     return_to_plan,
     set_clock,
 )
+from planners.free_flyer.tracking.course_sampling import sample_course
 from planners.free_flyer.tracking.least_acceleration import minimise_acceleration, plan_least_acceleration
 
 IMPACT, HORIZON = 30.0, 60.0
@@ -259,3 +260,27 @@ def test_detour_goes_through_its_via_point_with_continuous_jerk_and_snap() -> No
     mirror["until"] = 12.0
     fit_detour(mirror, tuple(-ends[0]), tuple(-ends[1]), (-1.5, 0.4), 2.0, 7.0)
     assert mirror["first"] == pytest.approx(-course["first"])
+
+
+@pytest.mark.parametrize("now", [0.0, 11.55, 19.7, 28.8, 29.6, 31.0, 40.2, 58.9, 59.7])
+def test_samples_are_the_course_bit_for_bit(now: float) -> None:
+    """Through breakpoints, the ends of quintics, of the clock and of the plan."""
+    detour = approach_from(follow(), 10.0)
+    detour["until"] = 32.0
+    fit_detour(detour, tuple(np.ones(6)), tuple(np.zeros(6)), (0.2, 0.1), 8.0, 30.0)
+    slow = follow(time=33.0, planned=29.0)
+    courses = [follow(), slow, approach_from(follow(), 10.0), approach_from(slow, 20.0, planned=10.0), detour]
+    courses += [return_from(10.0, np.ones((2, 2))), return_from(31.0, np.zeros((2, 2)), planned=45.0)]
+    durations = np.full(10, 0.1)
+    durations[3:5] = 0.13, 0.07
+    times = [now]
+    for h in durations:
+        times.append(times[-1] + h)
+    for course in courses:
+        for count in (11, 4):
+            states = np.full((11, 6), np.nan)
+            sample_course(course, BREAKS, COEFFICIENTS, 1, times[0], durations, count, states)
+            expected = [evaluate_course(course, BREAKS, COEFFICIENTS, 1, t)[:4] for t in times[:count]]
+            np.testing.assert_array_equal(states[:count][:, [0, 1, 3, 4]], expected)
+            assert np.isnan(states[count:]).all()
+            assert np.isnan(states[:, [2, 5]]).all()

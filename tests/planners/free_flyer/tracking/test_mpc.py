@@ -13,14 +13,8 @@ from impact_envs import load_scenario, parallel_env
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners import make_plan
 from planners.free_flyer.expert import FreeFlyerExpert
-from planners.free_flyer.tracking.mpc import (
-    Workspace,
-    condense,
-    jump,
-    make_workspace,
-    solve_freely,
-    solve_tracking,
-)
+from planners.free_flyer.tracking.condensing import FORCES, condense, find_unknown, jump
+from planners.free_flyer.tracking.mpc import Workspace, make_workspace, solve_freely, solve_tracking
 from planners.free_flyer.tracking.problem import (
     INPUT_LIMIT,
     NO_JUMP,
@@ -110,9 +104,11 @@ def test_free_solution_is_the_unconstrained_minimum_of_the_condensed_problem(see
     workspace.state[0] = rng.normal(size=6) * [0.1, 0.1, 1.0, 0.1, 0.1, 0.3]
     H, g = np.zeros((3 * STAGES, 3 * STAGES)), np.zeros(3 * STAGES)
     reference = (workspace.states[0], workspace.inputs[0], workspace.durations[0], NO_JUMP, workspace.jump[0])
-    condense(workspace.state[0], *reference, BOUNDLESS.row, np.zeros((3 * STAGES + 1, 6)), H, g)
+    condense(workspace.state[0], *reference, BOUNDLESS.row, np.zeros((6, 3 * STAGES + 1)), H, g)
+    assert not H[:FORCES, FORCES:].any()
     assert solve_freely(workspace, 0, BOUNDLESS.row)
-    expected = workspace.inputs[0].ravel() - np.linalg.solve(H, g)
+    places = [find_unknown(k, channel) for k in range(STAGES) for channel in range(3)]
+    expected = workspace.inputs[0].ravel() - np.linalg.solve(H, g)[places]
     np.testing.assert_allclose(workspace.solution[0], expected, atol=1e-9)
 
 
@@ -255,9 +251,9 @@ def test_reference_puts_a_node_onto_the_impact(catch: list[tuple[float, np.ndarr
         after = states[node + 1 :, 3:5]
         np.testing.assert_allclose(after, np.tile(strike["robot_plus"], (STAGES - node, 1)))
         # The predicted jump is the one that the robot's reference makes.
-        state = np.array([0.0, 0.0, 0.0, *states[node, 3:5], 0.0])
-        jump(state, tuple(workspace.jump[0, :2]), workspace.jump[0, 2], workspace.jump[0, 3])
-        np.testing.assert_allclose(state[3:5], strike["robot_plus"], atol=1e-9)
+        column = np.array([0.0, 0.0, 0.0, *states[node, 3:5], 0.0])[:, None]
+        jump(column, 0, workspace.jump[0], workspace.jump[0, 3])
+        np.testing.assert_allclose(column[3:5, 0], strike["robot_plus"], atol=1e-9)
 
 
 def test_reference_has_no_jump_before_the_impact_is_near(catch: list[tuple[float, np.ndarray, Workspace]]) -> None:

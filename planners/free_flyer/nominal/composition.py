@@ -1,0 +1,248 @@
+"""Several objects one after another: what objects need alone is put together in time, without a search over sequences.
+
+The model of all objects at once has a binary for every side of every obstacle on every leg of every body: with
+obstacles it takes minutes. Here an object's impacts follow those of the objects before it, whose times and places are
+given numbers; what is left to decide is hardly more than for one object. Afterwards all numbers are free again, and
+only the alternatives (who hits, on which side to pass) are kept: a linear model.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.stl import And
+from planners.errors import PlanningError, SolverFailed
+from planners.free_flyer.nominal.clearance_rows import add_clearance_rows, solve_apart
+from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
+from planners.free_flyer.nominal.event_sequence import ANYBODY, Word
+from planners.free_flyer.nominal.least_cost import read_word
+from planners.free_flyer.nominal.leg_times import Wait
+from planners.free_flyer.nominal.sequence_search import list_parts_about
+from planners.free_flyer.nominal.task import NominalTask, PlanOptions
+from planners.free_flyer.nominal.word_grid import WordGrid
+from planners.free_flyer.specification.formula_rows import add_demands
+from planners.free_flyer.specification.grid import GridSize
+from planners.free_flyer.specification.requirement import Demands, read_demands
+from planners.mixed_integer import Affine, Model, evaluate
+from planners.solvers import solve
+
+NEAR = 1e-6  # of given numbers, so that rounded rows hold [m, s]
+
+
+@dataclass(frozen=True)
+class _Done:
+    """Hold what is given of the objects done so far.
+
+    Args:
+        word: who hits what.
+        times: of these impacts, shape (k,) [s].
+        knots: of every body up to the last of these impacts, each shape (n k + 1, 2) [m].
+    """
+
+    word: Word
+    times: np.ndarray
+    knots: Mapping[str, np.ndarray]
+
+
+def compose_objects(
+    task: NominalTask,
+    numbers: Mapping[str, int],
+    max_impacts: int,
+    pieces: int,
+    rho: tuple[float, float],
+    find_time_left: Callable[[], float],
+    options: PlanOptions,
+) -> WordGrid | None:
+    """Return a grid with a point of objects that are moved one after another; None: none was found.
+
+    Orders of the objects are tried in turn; in each, an object is done as early as may be, so that there is time for
+    the next one.
+
+    Args:
+        task: what is asked; its objects start and end at rest.
+        numbers: object to the impacts that it needs alone; objects of which nothing is asked are left out.
+        max_impacts: greatest number of impacts of all objects together.
+        pieces: per leg.
+        rho: robustness to keep, and its bound [m].
+        find_time_left: returns the time left [s].
+        options: of the search.
+    """
+    if any(any(body.start_velocity) or not body.rest for body in task.scenario.objects.values()):
+        return None  # objects that fly while others are hit need straight flights
+    for order in itertools.permutations(numbers):
+        try:
+            done = _Done((), np.zeros(0), {name: np.zeros((0, 2)) for name in task.scenario.bodies})
+            for place, name in enumerate(order):
+                later = sum(numbers[other] for other in order[place + 1 :])
+                allowed = range(numbers[name], max_impacts - len(done.word) - later + 1)
+                done = _append(task, done, order[: place + 1], allowed, pieces, rho[0], find_time_left, options)
+        except PlanningError:
+            if find_time_left() <= 0.0:
+                return None
+            continue
+        try:
+            return _free(task, done, pieces, (options.least, rho[1]), find_time_left())
+        except PlanningError:
+            continue
+    return None
+
+
+def is_large(task: NominalTask, numbers: Mapping[str, int], pieces: int, options: PlanOptions) -> bool:
+    """Return whether the model of one sequence of all impacts has too many alternatives to be solved often.
+
+    Args:
+        task, numbers, pieces, options: as for `compose_objects`.
+    """
+    robot = next(iter(task.scenario.robots))
+    word = tuple((robot, name) for name, count in numbers.items() for _ in range(count))
+    try:
+        grid, _ = task.build(GridSize(len(word), pieces, passing=True), (0.0, options.least), word)
+    except PlanningError:
+        return False
+    return sum(grid.model.integer) > options.compose.binaries
+
+
+def _append(
+    task: NominalTask,
+    done: _Done,
+    objects: Sequence[str],
+    allowed: range,
+    pieces: int,
+    rho: float,
+    find_time_left: Callable[[], float],
+    options: PlanOptions,
+) -> _Done:
+    """Return what is done with the impacts of one more object, the last of `objects`, as early as may be.
+
+    Args:
+        task, pieces, find_time_left, options: as for `compose_objects`.
+        done: what is done of the other objects.
+        objects: these and this one.
+        allowed: numbers of impacts, of which the first few are tried.
+        rho: robustness to keep [m].
+
+    Raises:
+        PlanningError: no such impacts were found.
+    """
+    failure: PlanningError = SolverFailed("composition", "no time or number of impacts is left", "raise the limits")
+    demands = _restrict_demands(task, objects)
+    for impacts in allowed[: options.compose.more_impacts + 1]:
+        limit = find_time_left()
+        if limit <= 0.0:
+            break
+        try:
+            return _append_impacts(task, demands, done, objects[-1], impacts, pieces, rho, limit, options)
+        except PlanningError as error:
+            failure = error
+    raise failure
+
+
+def _append_impacts(
+    task: NominalTask,
+    demands: Demands,
+    done: _Done,
+    name: str,
+    impacts: int,
+    pieces: int,
+    rho: float,
+    limit: float,
+    options: PlanOptions,
+) -> _Done:
+    scenario, chosen = task.scenario, options.compose
+    word = (*done.word, *((ANYBODY, name),) * impacts)
+    grid = build_event_grid(scenario, len(word), (rho - NEAR, rho), task.reserves, pieces, word=word, sharp=True)
+    _pin(grid, done)
+    add_demands(grid, demands, scenario.control_period, passing=True)
+    first = len(done.word) * pieces
+    add_clearance_rows(grid, scenario, task.reserves, _list_places(scenario, range(first, grid.count)))
+    last = grid.times[len(word) * pieces]
+    assert isinstance(last, Affine)
+    grid.model.objective = last
+
+    def solve_once() -> np.ndarray:
+        seconds = min(limit, chosen.longest)
+        return solve(grid.model, seconds, chosen.gap, task.solver, work=task.work, nodes=chosen.nodes).x
+
+    x = solve_apart(grid, scenario, task.reserves, solve_once)
+    return _read(grid, read_word(grid, x), x)
+
+
+def _read(grid: EventGrid, word: Word, x: np.ndarray) -> _Done:
+    last = len(word) * grid.pieces
+    times = evaluate(grid.times[:: grid.pieces], x)[1:-1]
+    return _Done(word, times, {name: evaluate(knots[: last + 1], x) for name, knots in grid.knots.items()})
+
+
+def _free(task: NominalTask, done: _Done, pieces: int, rho: tuple[float, float], limit: float) -> WordGrid:
+    """Return the grid of a word and its most robust point with the alternatives that the given numbers take.
+
+    Raises:
+        PlanningError: there is none within the time limit.
+    """
+    size = GridSize(len(done.word), pieces, passing=True)
+    grid, choices = replace(task, sharp=True).build(size, rho, done.word)
+    add_clearance_rows(grid, task.scenario, task.reserves, _list_places(task.scenario, range(grid.count)))
+    model = grid.model
+    bounds = list(model.lower), list(model.upper)
+    _pin(grid, done)
+    model.objective = -grid.rho
+    x = solve(model, limit, 1.0, task.solver, work=task.work).x
+    model.lower, model.upper = bounds
+    for index in np.flatnonzero(model.integer):
+        model.lower[index] = model.upper[index] = float(np.round(x[index]))
+    return WordGrid(task, grid, choices, solve(model, limit, solver=task.solver, work=task.work).x)
+
+
+def add_waits(found: WordGrid, waits: Iterable[Wait], time_limit: float) -> WordGrid:
+    """Return a grid whose alternatives are given, with more time on some legs, and its most robust point.
+
+    Args:
+        found: the grid; it gets the rows.
+        waits: least times between events.
+        time_limit: wall time [s].
+
+    Raises:
+        Infeasible: there is not so much time.
+    """
+    grid, task = found.grid, found.task
+    events = grid.times[:: grid.pieces]
+    for wait in waits:
+        grid.model.require(wait.seconds - (events[wait.second] - events[wait.first]))
+    return replace(found, x=solve(grid.model, time_limit, solver=task.solver, work=task.work).x)
+
+
+def _pin(grid: EventGrid, done: _Done) -> None:
+    """Bound times and places of what is done closely around their given numbers."""
+    _bound(grid.model, grid.times[grid.pieces :: grid.pieces], done.times)
+    for name, places in done.knots.items():
+        for d in range(2):
+            _bound(grid.model, [knot[d] for knot in grid.knots[name]], places[:, d])
+
+
+def _bound(model: Model, expressions: Sequence[Affine | float], values: np.ndarray) -> None:
+    """Bound those expressions that are variables."""
+    for expression, value in zip(expressions, values, strict=False):
+        if isinstance(expression, Affine) and list(expression.coefficients.values()) == [1.0]:
+            (index,) = expression.coefficients
+            place = float(value) - expression.constant
+            model.lower[index] = max(model.lower[index], place - NEAR)
+            model.upper[index] = min(model.upper[index], place + NEAR)
+
+
+def _list_places(scenario: FreeFlyerScenario, pieces: range) -> Iterator[tuple[str, str, int]]:
+    for pair, piece in itertools.product(itertools.combinations(scenario.bodies, 2), pieces):
+        yield (*pair, piece)
+
+
+def _restrict_demands(task: NominalTask, objects: Sequence[str]) -> Demands:
+    """Return what is demanded of robots and some objects."""
+    scenario = task.scenario
+    parts = tuple(list_parts_about(scenario.specification.expand(scenario.bodies), {*scenario.robots, *objects}))
+    formula = parts[0] if len(parts) == 1 else And(parts)
+    fields = {field: getattr(scenario, field) for field in FreeFlyerScenario.model_fields}
+    return read_demands(FreeFlyerScenario(**fields | {"formula": str(formula)}), task.reserves.wall)
