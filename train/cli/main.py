@@ -57,9 +57,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit code: 0 done, 1 the thing itself failed, 2 bad input.
     """
-    start = time.perf_counter()
+    start, needed = time.perf_counter(), tuple[str, ...]()
     try:
         command = _parse(sys.argv[1:] if arguments is None else list(arguments))
+        needed = command.extras
         # Solvers and libraries may print; standard output is the result's alone.
         with contextlib.redirect_stdout(sys.stderr), show_planning():
             result = command.run()
@@ -76,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"impact: {error}", file=sys.stderr)
         return 1
     except ModuleNotFoundError as error:
-        missing = describe_missing(error, command.extras)
+        missing = describe_missing(error, needed)
         if missing is None:
             raise
         print(f"impact: {missing}", file=sys.stderr)
