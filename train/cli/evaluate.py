@@ -39,7 +39,9 @@ class Command:
     objective: Literal["robustness", "impact_uncertainty"] | None = None
     """Without --plan: what the experts' plans maximise; robustness without."""
     workers: int = 1
-    """Processes."""
+    """Processes; with --batched threads."""
+    batched: bool = False
+    """Play many worlds at once: the same verdicts much sooner, without solve times, effort and replays."""
     out: Path | None = None
     """Folder of rows, summary and replays; a second call with it resumes."""
     json: bool = False
@@ -64,6 +66,7 @@ class Command:
             self.seed,
             self.workers,
             self.out,
+            batched=self.batched,
         )
         return {"rows": result.rows, "paired": result.paired, "set": settings} | self._describe_plan()
 

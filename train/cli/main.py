@@ -24,7 +24,7 @@ from impact_envs.errors import InputError, choices
 from planners.errors import PlanningError
 from train.evaluation.errors import Diverged, WorkerLost
 
-COMMANDS = ("list", "plan", "run", "play", "train", "evaluate", "report", "reproduce", "demo")
+COMMANDS = ("list", "plan", "run", "play", "train", "tune", "evaluate", "compare", "report", "reproduce", "demo")
 # Faults of the disk; some libraries do not say of which file.
 DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 

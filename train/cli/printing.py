@@ -35,7 +35,9 @@ def show(result: dict[str, Any]) -> None:
         # Rather broken by the terminal than cut.
         least = Measurement.get(console, console.options.update(max_width=1000), table).minimum
         console.print(table, width=max(console.width, least), crop=False)
-    plain = {k: v for k, v in result.items() if k not in ("scenarios", "rows", "paired", "plans")}
+    if "comparison" in result:
+        console.print(_comparison_table(result["comparison"]), crop=False)
+    plain = {k: v for k, v in result.items() if k not in ("scenarios", "rows", "paired", "plans", "comparison")}
     if not plain.get("set"):
         plain.pop("set", None)
     for key, value in plain.items():
@@ -82,3 +84,33 @@ def _evaluation_table(rows: Sequence[dict[str, Any]]) -> Table:
     for row_cells in cells:
         table.add_row(*map(escape, row_cells))
     return table
+
+
+def _comparison_table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Return the table of `comparison.compare_groups`; bold where a policy surely beats expert and best constant."""
+    table = Table(
+        caption="intervals of 95 % over training seeds and episodes; gains: interquartile means of paired differences; "
+        "bold: surely more than expert and best constant",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    for title in ("scenario", "suite", "policy", "runs", "Success", "Robustness [m]", "Worst 5 % [m]"):
+        table.add_column(title)
+    for title in ("Gain [m]", "Over the constant [m]", "Better than the expert", "Training CPU [s]"):
+        table.add_column(title)
+    for row in rows:
+        rate, (low, high) = row["success_rate"], row["success_ci"]
+        cells = [row["scenario"], row["suite"], row["policy"], str(row["runs"])]
+        cells += [f"{100 * rate:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"]
+        cells += [_with_interval(row, name) for name in ("iqm", "worst", "gain", "gain_over_constant")]
+        cells += [_with_interval(row, "improvement", 2)]
+        cells += [UNKNOWN if row["cpu_seconds"] is None else f"{row['cpu_seconds']:.0f}"]
+        table.add_row(*map(escape, cells), style="bold" if row["earned"] else None)
+    return table
+
+
+def _with_interval(row: dict[str, Any], name: str, decimals: int = 3) -> str:
+    if row[name] is None:
+        return UNKNOWN
+    low, high = row[f"{name}_ci"]
+    return f"{row[name]:.{decimals}f} [{low:.{decimals}f}, {high:.{decimals}f}]"
