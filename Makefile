@@ -1,10 +1,10 @@
-# make demo: the main job in small.  make test: every check.  Both set up .venv first.
+# make demo: the main job in small.  make test: every check.  make docs: the site, docs/build/html.  All set up .venv first.
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 export PYTHONUNBUFFERED := 1
 
-.PHONY: demo test test-slow format
+.PHONY: demo test test-slow format wheel docs
 
 demo: $(READY)
 	$(BIN)/impact demo
@@ -19,9 +19,20 @@ test: $(READY)
 test-slow: $(READY)
 	$(BIN)/pytest -n 2 -m slow
 
+# The same bytes from the same commit, wherever it is built.
+wheel: $(READY)
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/pip wheel --quiet --no-deps --wheel-dir dist .
+
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+docs: .venv/.docs-ready
+	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/build/html
+
+.venv/.docs-ready: $(READY)
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev,docs]"
+	touch $@
 
 # torch goes first: with it in place no other package asks for another build of it.
 $(READY): pyproject.toml constraints.txt

@@ -79,9 +79,9 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Episode end: ``truncated`` at the scenario's horizon, or where ``max_cycles`` cuts earlier; ``terminated`` where the
     simulation fails (see ImpactEnv).
 
-    ``info`` carries ``seed`` and ``control_steps`` (in this step); at the end also ``robustness``, ``success`` and
-    ``decided``: the horizon is reached or the simulation failed (then with ``failure``, a text), and a learner has
-    nothing to bootstrap.
+    ``info`` carries ``seed``, ``control_steps`` (in this step) and ``is_success`` (see ImpactEnv); at the end also
+    ``robustness``, ``success`` and ``decided``: the horizon is reached or the simulation failed (then with
+    ``failure``, a text), and a learner has nothing to bootstrap.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario.
@@ -133,9 +133,10 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         seed = None if seed is None else check_seed(seed)
         super().reset(seed=seed)
         episode = int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed
-        observations, _ = self.parallel.reset(seed=episode)
+        observations, infos = self.parallel.reset(seed=episode)
         self.expert.reset(episode)
         self._reward, self._steps, self._infos, self._ended = 0.0, 0, {"seed": episode}, False
+        self._infos["is_success"] = next(iter(infos.values()))["is_success"]
         self.expert.observe(observations)
         if not self.expert.awaiting_correction:
             self._run_to_request()
@@ -184,6 +185,7 @@ class ResidualEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             observations, rewards, _, _, infos = self.parallel.step(self.expert.control())
             self._reward += float(sum(rewards.values()))
             self._steps += 1
+            self._infos["is_success"] = next(iter(infos.values()))["is_success"]
             failed = self.parallel.failure is not None
             decided = failed or self.parallel.steps >= self.parallel.scenario.steps
             if not decided:

@@ -25,6 +25,8 @@ from impact_envs.vector_reset import make_seeds, read_mask
 from planners import make_expert_batch
 from planners.plan import Plan
 
+ALWAYS = ("seed", "control_steps", "is_success")  # infos that are there at every call
+
 
 class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """ResidualEnv many times over: one step is one decision of every world, however long each takes (semi-Markov).
@@ -34,9 +36,9 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     Action space, observation space, rewards, starting state, episode end: as ResidualEnv, of each world.
 
-    ``infos`` carries ``seed`` and ``control_steps`` (in this step) of every world; where an episode ended also
-    ``robustness``, ``success``, ``decided`` (a learner has nothing to bootstrap) and, where a simulation failed,
-    ``failure``, each with its mask; with autoreset in the same step ``final_obs`` and ``final_info``. Ctrl-C is
+    ``infos`` carries ``seed``, ``control_steps`` (in this step) and ``is_success`` of every world; where an episode
+    ended also ``robustness``, ``success``, ``decided`` (a learner has nothing to bootstrap) and, where a simulation
+    failed, ``failure``, each with its mask; with autoreset in the same step ``final_obs`` and ``final_info``. Ctrl-C is
     answered within a second; then reset all worlds.
 
     Args:
@@ -201,7 +203,7 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self, over: np.ndarray, features: np.ndarray, infos: dict[str, Any]
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start the next episode where one is over; return features and infos of its start, and of the end."""
-        ends = {name: infos[name] for name in infos if name not in ("seed", "_seed", "control_steps", "_control_steps")}
+        ends = {name: infos[name] for name in infos if name.removeprefix("_") not in ALWAYS}
         final = {"final_obs": features.copy(), "final_info": infos}
         self._draw_seeds(over)
         self._start(over)
@@ -223,6 +225,7 @@ class ResidualVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         everywhere = np.ones(self.num_envs, bool)
         infos: dict[str, Any] = {"seed": self._seeds.copy(), "_seed": everywhere}
         infos |= {"control_steps": self.decisions.steps.copy(), "_control_steps": everywhere.copy()}
+        infos |= {"is_success": self.decisions.judge()[1], "_is_success": everywhere.copy()}
         if over is None or not over.any():
             return infos
         robustness, success = self.decisions.judge()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -120,19 +121,23 @@ def explore(model: PPO, normalized: np.ndarray) -> np.ndarray:
     return actions.numpy()
 
 
-def compute_advantages(scores: np.ndarray, group: int) -> np.ndarray:
-    """Return how much better each episode was than the mean of the others with its seed.
+def compute_advantages(scores: np.ndarray, group: int, cut: float = math.inf) -> np.ndarray:
+    """Return how much better each episode was than the others with its seed, shape (E,).
 
-    A_i = R_i - sum_{j != i} R_j / (g - 1): unbiased, because the others' corrections do not depend on its own.
+    A_i = sum_{j != i} clip(R_i - R_j, -cut, cut) / (g - 1). Without a cut it is the difference to the others' mean:
+    unbiased, because their corrections do not depend on its own. Cut, a world that is lost or won by chance does not
+    outweigh many in which a little is gained.
 
     Args:
         scores: of episodes, those of one seed in a row, shape (E,).
         group: g, episodes of a seed, at least 2.
+        cut: greatest difference that counts.
 
     Source: Kool, van Hoof & Welling, "Buy 4 REINFORCE samples, get a baseline for free!" (2019).
     """
     each = scores.reshape(-1, group)
-    return ((each - each.mean(axis=1, keepdims=True)) * group / (group - 1)).reshape(-1)
+    differences = np.clip(each[:, :, np.newaxis] - each[:, np.newaxis], -cut, cut)
+    return differences.sum(axis=2).reshape(-1) / (group - 1)
 
 
 def update(model: PPO, normalized: np.ndarray, corrections: np.ndarray, advantages: np.ndarray) -> None:

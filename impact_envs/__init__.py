@@ -1,6 +1,6 @@
 """Robots that move free-floating objects by hitting them: environments with exact impacts and STL tasks.
 
-The public door. Importing it registers the Gymnasium ids and loads no solver and no learner.
+The public door. Importing it registers the ids with Gymnasium and PettingZoo, and loads no solver and no learner.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
+import pettingzoo
 
 from impact_envs.errors import FormulaError, InputError, ResetNeeded, ScenarioError
 
@@ -18,8 +19,11 @@ from impact_envs.scenario import Scenario, list_scenarios, load_scenario
 
 if TYPE_CHECKING:
     from impact_envs.env import ImpactEnv, parallel_env
+    from impact_envs.function_policy import JointPolicy, SharedPolicy
     from impact_envs.joint import JointEnv
     from impact_envs.vector import ImpactVectorEnv, vector_env
+
+__version__ = "0.1.0"
 
 __all__ = [
     "Diagnostics",
@@ -29,10 +33,12 @@ __all__ = [
     "ImpactVectorEnv",
     "InputError",
     "JointEnv",
+    "JointPolicy",
     "Policy",
     "ResetNeeded",
     "Scenario",
     "ScenarioError",
+    "SharedPolicy",
     "gym_id",
     "list_scenarios",
     "load_scenario",
@@ -46,6 +52,8 @@ _LAZY = {
     "ImpactEnv": "env",
     "ImpactVectorEnv": "vector",
     "JointEnv": "joint",
+    "JointPolicy": "function_policy",
+    "SharedPolicy": "function_policy",
     "parallel_env": "env",
     "vector_env": "vector",
 }
@@ -92,6 +100,8 @@ def __getattr__(name: str) -> Any:
 
 
 for _name in list_scenarios():
+    for _kind in ("parallel", "aec"):
+        pettingzoo.register(_kind, gym_id(_name), f"impact_envs.env:{_kind}_env", kwargs={"scenario": _name})
     gymnasium.register(
         gym_id(_name),
         "impact_envs.joint:JointEnv",

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.utils import seeding
-from pettingzoo import ParallelEnv
+from pettingzoo import AECEnv, ParallelEnv
+from pettingzoo.utils.conversions import parallel_to_aec
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError, ResetNeeded, check_count, choices
@@ -48,6 +49,7 @@ class Task(Protocol):
 
     scenario: Any
     action_spaces: Mapping[str, Box]
+    action_elements: Mapping[str, Sequence[str]]  # of each agent, with what an element of 1 is: "torque [0.5 N m]"
     observation_spaces: Mapping[str, Box]
     joint_observation_space: Box
     layouts: Mapping[str, Layout]
@@ -114,7 +116,8 @@ class ImpactEnv(ParallelEnv):
     simulation fails: a state is not finite, or impacts do not end within a control period. The observation is then the
     last sample, the robustness minus the world's diagonal, and ``failure`` of the infos says what happened.
 
-    ``infos[agent]`` carries ``overflow`` (1 where impacts did not end within the control period),
+    ``infos[agent]`` carries ``overflow`` (1 where impacts did not end within the control period), ``is_success``
+    (whether the formula holds for certain by now, whatever follows; at the end ``success``),
     ``robustness_lower``, ``robustness_upper``, both clipped to the world's diagonal; at the end
     also ``robustness``, not clipped, and ``success`` of the whole formula on the true signals. ``success`` is whether
     the formula holds: robustness above zero, or exactly zero where its predicates hold at equality (``in``, ``<=``,
@@ -170,6 +173,7 @@ class ImpactEnv(ParallelEnv):
         self.lasting_contacts: list[LastingContact] = []  # of the last control period; free-flyers alone have them
         self.impulse = 0.0  # propulsion spent since reset
         self.failure: SimulationFailed | None = None  # that ended the episode
+        self.infos: dict[str, Any] = {}  # what every agent was told last
         self._rng: np.random.Generator | None = None
         self._renderer: Any = None
         self.caption = ""  # over pictures; the scenario's name where nobody says more
@@ -226,7 +230,9 @@ class ImpactEnv(ParallelEnv):
         self._potential = self._predict()
         self._marks = []
         self._remember()
-        return self.task.observe(0.0, self.bounds), self._infos()
+        infos = self._infos()
+        self.infos = next(iter(infos.values()))
+        return self.task.observe(0.0, self.bounds), infos
 
     def step(
         self, actions: Mapping[str, np.ndarray]
@@ -275,6 +281,7 @@ class ImpactEnv(ParallelEnv):
             team = compute_progress_reward(potential, self._potential, self.bounds[0], over)
         rewards = {agent: compute_reward(team, len(agents), self.task.effort(actions[agent])) for agent in agents}
         observations, infos = self.task.observe(self.time, self.bounds), self._infos(over)
+        self.infos = infos[agents[0]]
         if over:
             self.agents = []
         if self.render_mode == "human":
@@ -449,13 +456,25 @@ class ImpactEnv(ParallelEnv):
     def _infos(self, over: bool = False) -> dict[str, dict[str, Any]]:
         info: dict[str, Any] = {"robustness_lower": self.bounds[0], "robustness_upper": self.bounds[1]}
         info["overflow"] = int(isinstance(self.failure, TooManyEvents))
+        robustness, success = judge(compute_outcome(*self.monitor.ends, self._limit))
+        info["is_success"] = bool(success) and self.failure is None
         if over:
-            robustness, success = judge(compute_outcome(*self.monitor.ends, self._limit))
             decided = self.failure is not None or self.steps >= self._last
             info |= {"robustness": robustness, "success": success, "decided": decided}
         if self.failure is not None:
             info |= {"robustness": -self._limit, "success": False, "failure": str(self.failure)}
         return {agent: dict(info) for agent in self.agents}
+
+
+def aec_env(
+    scenario: str | Path | Scenario, render_mode: str | None = None, max_cycles: int | None = None
+) -> AECEnv[str, np.ndarray, np.ndarray]:
+    """Make the environment of a scenario in PettingZoo's other interface, in which agents act one after another.
+
+    Args:
+        scenario, render_mode, max_cycles: as parallel_env.
+    """
+    return parallel_to_aec(parallel_env(scenario, render_mode, max_cycles))
 
 
 def parallel_env(

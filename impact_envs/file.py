@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
 import os
 import re
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from impact_envs.errors import InputError
 
@@ -85,6 +88,32 @@ def write_atomically(path: str | Path, data: bytes) -> None:
     """
     with replace_file(path) as partial:
         partial.write_bytes(data)
+
+
+def write_table(path: str | Path, columns: Mapping[str, Sequence[Any]]) -> None:
+    """Write a table, all or nothing: CSV, or Parquet where the path ends so.
+
+    Args:
+        path: file to write.
+        columns: name to values, as many in each; in CSV floats keep all their digits, and NaN is an empty cell.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    plain = {name: getattr(values, "tolist", lambda values=values: list(values))() for name, values in columns.items()}
+    if Path(path).suffix.lower() == ".parquet":
+        import pyarrow
+        from pyarrow import parquet
+
+        with replace_file(path) as partial:
+            parquet.write_table(pyarrow.table(plain), partial)
+        return
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(plain)
+    for row in zip(*plain.values(), strict=True):
+        writer.writerow("" if value != value else value for value in row)
+    write_atomically(path, text.getvalue().encode())
 
 
 def _first_line(error: OSError) -> str:

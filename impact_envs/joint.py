@@ -14,7 +14,7 @@ from gymnasium.spaces import Box
 from impact_envs.agent_vectors import read_vector
 from impact_envs.env import parallel_env
 from impact_envs.reward import ROBUSTNESS
-from impact_envs.scenario import Scenario
+from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.stream import check_seed
 
 
@@ -26,9 +26,12 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Observation space: everything measured once (bodies in scenario order, contacts, time / horizon, robustness
     interval; see the task's ``observe_jointly``).
 
-    Rewards, starting state, episode end: as ImpactEnv; the reward is the sum over agents, and
-    ``reward`` says which. ``max_cycles`` cuts an
+    Rewards, starting state, episode end: as ImpactEnv; the reward is the sum over agents. ``max_cycles`` cuts an
     episode, and its last info has the verdict; Gymnasium's ``max_episode_steps`` cuts from outside, without one.
+
+    Args:
+        scenario, render_mode, max_cycles, reward: see `parallel_env`.
+        suite: mismatch suite of the true world; what is believed stays.
     """
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 30}
@@ -39,9 +42,12 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         max_cycles: int | None = None,
         reward: str = ROBUSTNESS,
+        suite: str = "nominal",
     ) -> None:
         self._spec: EnvSpec | None = None
-        self.parallel = parallel_env(scenario, render_mode, max_cycles, reward)
+        loaded = load_scenario(scenario)
+        chosen = loaded if suite == "nominal" else loaded.suite(suite)
+        self.parallel = parallel_env(chosen, render_mode, max_cycles, reward)
         self.render_mode = render_mode
         sizes = [self.parallel.action_space(agent).shape[0] for agent in self.parallel.possible_agents]
         *starts, size = itertools.accumulate(sizes, initial=0)
@@ -57,8 +63,23 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None and spec.max_episode_steps is None:
-            spec.max_episode_steps = min(self.parallel.max_cycles, self.parallel.scenario.steps)
+            spec.max_episode_steps = self._max_episode_steps
         self._spec = spec
+
+    @property
+    def _max_episode_steps(self) -> int:
+        """Return the length of an episode, under the name by which LeRobot asks for it."""
+        return min(self.parallel.max_cycles, self.parallel.scenario.steps)
+
+    @property
+    def task(self) -> str:
+        """Return the name of what is asked."""
+        return self.parallel.scenario.name
+
+    @property
+    def task_description(self) -> str:
+        """Return what is asked, in a sentence."""
+        return self.parallel.scenario.description
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -10,7 +10,8 @@ import numpy as np
 
 from impact_envs.errors import InputError, choices
 from impact_envs.picture.film import SUFFIXES, Film
-from impact_envs.picture.painter import ARROW, Frame, Mark, Painter
+from impact_envs.picture.frame import Frame, Mark
+from impact_envs.picture.painter import ARROW, Painter
 from impact_envs.picture.window import Window
 from impact_envs.shape import Shape
 

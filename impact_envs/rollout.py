@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -135,6 +136,27 @@ class Episode:
     reoptimised: Mapping[str, int] = field(default_factory=dict)
     failure: str = ""
     lasting_contacts: tuple[LastingContact, ...] = ()
+
+    def save(self, path: str | Path) -> tuple[Path, ...]:
+        """Write the episode for other programs, in SI units.
+
+        ``.npz``: one archive: times, signals by name, ``AGENT.actions``, ``AGENT.rewards``, ``robustness_bounds``,
+        ``impacts.time`` and so on, and ``facts``, JSON text of all that is one number or word. ``.csv``, ``.parquet``:
+        a table with a row for each time (actions and rewards stand in the row where their step begins; the last row has
+        none), beside it a table ``FILE.impacts`` and ``FILE.facts.json``.
+
+        Args:
+            path: of the file; its suffix says which.
+
+        Returns:
+            The files written, that of the trajectory first.
+
+        Raises:
+            InputError: unknown suffix, or a file that cannot be written.
+        """
+        from impact_envs.episode_file import save_episode
+
+        return save_episode(self, path)
 
 
 def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode:

@@ -59,7 +59,7 @@ class Table(BaseModel):
 class Uniform(Table):
     """A quantity drawn uniformly at reset: ``{ uniform = [low, high] }``."""
 
-    uniform: Vector
+    uniform: Vector  # least and greatest value, in the unit of the quantity
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -87,8 +87,8 @@ def draw(quantity: Quantity, rng: np.random.Generator) -> float:
 class Box(Table):
     """An axis-aligned box ``lower <= p <= upper`` [m]."""
 
-    lower: Vector
-    upper: Vector
+    lower: Vector  # corner of least x and y [m]
+    upper: Vector  # corner of greatest x and y [m]
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -104,9 +104,9 @@ class Box(Table):
 class Region(Table):
     """A convex area: a box (``lower``, ``upper``) or a polygon (``vertices``) [m]."""
 
-    lower: Vector | None = None
-    upper: Vector | None = None
-    vertices: tuple[Vector, ...] | None = None
+    lower: Vector | None = None  # of a box: corner of least x and y [m]
+    upper: Vector | None = None  # of a box: corner of greatest x and y [m]
+    vertices: tuple[Vector, ...] | None = None  # of a polygon, counter-clockwise [m]
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -183,14 +183,14 @@ class Scenario(Table):
 
     suite_file: ClassVar[Path | None] = None
 
-    name: Name = ""
-    domain: str
-    description: str = ""
-    formula: str
-    horizon: Positive
-    control_period: Annotated[Positive, Field(le=LONGEST_PERIOD)]
-    regions: dict[str, Region] = {}
-    suites: dict[Name, dict[str, Any]] = {}
+    name: Name = ""  # unset: the file's name
+    domain: str  # whose tables follow
+    description: str = ""  # one sentence
+    formula: str  # in Signal Temporal Logic, times in s
+    horizon: Positive  # duration of an episode, a whole number of control periods [s]
+    control_period: Annotated[Positive, Field(le=LONGEST_PERIOD)]  # of actions and samples [s]
+    regions: dict[str, Region] = {}  # that the formula may name
+    suites: dict[Name, dict[str, Any]] = {}  # by name: dotted keys and their values in that suite
 
     @property
     def agents(self) -> tuple[str, ...]:

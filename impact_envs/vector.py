@@ -27,7 +27,7 @@ DTYPES = {"float64": np.float64, "float32": np.float32}
 DEVICES = ("cpu", "cuda")
 RENDER_MODES = ("rgb_array",)
 # Infos that are there at every call, and their masks, which are true of all worlds.
-VALUES = ("robustness_lower", "robustness_upper", "impacts", "overflow")
+VALUES = ("robustness_lower", "robustness_upper", "impacts", "overflow", "is_success")
 ALWAYS = (*VALUES, *(f"_{name}" for name in VALUES))
 
 
@@ -37,11 +37,12 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
     Action and observation spaces, rewards, starting state, episode end: as JointEnv.
 
     Observations, rewards and infos are fresh arrays at every call. ``infos`` carries ``robustness_lower``,
-    ``robustness_upper``, ``impacts`` (in the last control period) and ``overflow`` (1 where impacts did not end within
-    it) of every world; where an episode ended also ``robustness``, ``success`` and ``decided`` (nothing follows: the
-    horizon is reached, or the simulation failed), each with its mask, ``_robustness`` for example; where a simulation
-    failed also ``failure``, an array of texts, marked by ``_failure``; with autoreset in the same step ``final_obs``,
-    marked by ``_final_obs``, and ``final_info``, the infos of the end of all worlds.
+    ``robustness_upper``, ``impacts`` (in the last control period), ``overflow`` (1 where impacts did not end within
+    it) and ``is_success`` (the formula holds for certain by now) of every world; where an episode ended also
+    ``robustness``, ``success`` and ``decided`` (nothing follows: the horizon is reached, or the simulation failed),
+    each with its mask, ``_robustness`` for example; where a simulation failed also ``failure``, an array of texts,
+    marked by ``_failure``; with autoreset in the same step ``final_obs``, marked by ``_final_obs``, and
+    ``final_info``, the infos of the end of all worlds.
 
     Args:
         scenario: a shipped name, the path of a TOML file, or a Scenario.
@@ -293,7 +294,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         """Return the infos of all worlds; over says which episodes ended, if any did."""
         batch = self.batch
         low, high = _copy(batch.bounds.T)
-        values = (low, high, _copy(batch.impacts), _copy(batch.overflow), *_copy(self._masks))
+        values = (low, high, _copy(batch.impacts), _copy(batch.overflow), batch.outcome > 0, *_copy(self._masks))
         infos = dict(zip(ALWAYS, values, strict=True))
         if over is not None:
             robustness, success = judge(batch.outcome)

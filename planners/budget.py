@@ -4,13 +4,32 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 
 from planners.errors import OutOfWork
 
 ROW = 0.2  # work of writing a row and handing it to a solver, over that of an iteration of the simplex method
+
+
+# Told of every stage that begins, and with None that it ended; it cannot change what is planned.
+_WATCHER: ContextVar[Callable[[Budget, str | None], None] | None] = ContextVar("watcher", default=None)
+
+
+@contextmanager
+def watch_planning(tell: Callable[[Budget, str | None], None]) -> Iterator[None]:
+    """Have all planning inside, in this thread, told to somebody.
+
+    Args:
+        tell: called with the budget and the stage that begins, or None at its end.
+    """
+    token = _WATCHER.set(tell)
+    try:
+        yield
+    finally:
+        _WATCHER.reset(token)
 
 
 @dataclass
@@ -19,19 +38,25 @@ class Budget:
 
     Args:
         limit: wall time of all stages together [s].
+        news: what the stages so far found out, for whoever watches.
     """
 
     limit: float
     start: float = field(default_factory=time.perf_counter)
     stages: dict[str, float] = field(default_factory=dict)
+    news: str = ""
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Add the time spent inside to a stage."""
-        start = time.perf_counter()
+        start, tell = time.perf_counter(), _WATCHER.get()
+        if tell is not None:
+            tell(self, name)
         try:
             yield
         finally:
+            if tell is not None:
+                tell(self, None)
             self.stages[name] = self.stages.get(name, 0.0) + time.perf_counter() - start
 
     @property

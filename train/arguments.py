@@ -17,7 +17,7 @@ class Args:
     """Shipped names or TOML files; several train one policy for all."""
     suite: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="SUITE")] = ()
     """Mismatch suite of the true world; given several times, one policy for all. Without: hard."""
-    steps: int = 40_000
+    steps: int = 80_000
     """Corrections to answer in the whole run; a free-flyer asks for one per impact, the others periodically."""
     out: Path = Path("runs/residual")
     """Folder for checkpoints and logs."""
@@ -39,7 +39,7 @@ class Args:
     """That share the worlds; all cores without."""
     hidden: tuple[int, ...] = (64, 64)
     """Width of each hidden layer."""
-    learning_rate: float = 5e-4
+    learning_rate: float = 1e-3
     """Step size of Adam."""
     log_std: float = -2.3
     """Logarithm of the exploration's standard deviation at the start (-2.3: 0.1 of the range)."""
@@ -55,6 +55,8 @@ class Args:
     """Change of the policy at which an update ends early; without: never."""
     worst: float = 2.0
     """A failure counts no more than so many times the expert's median robustness."""
+    cut: float = 1.0
+    """Two episodes of a seed differ by no more than so many times the expert's median robustness."""
     eval_every: int = 5
     """Iterations between two evaluations on tuning seeds; 0: never, and the last policy is kept."""
     eval_episodes: int = 200

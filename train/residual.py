@@ -2,7 +2,7 @@
 
 ``python -m train.residual --help`` lists every argument. What a run leaves in ``out``:
 
-    policy.safetensors, policy.json   the policy that surely gained most on the tuning seeds, so ``out`` is a checkpoint
+    policy.safetensors, policy.json   the policy that surely gains most on the tuning seeds, so ``out`` is a checkpoint
     checkpoints/<iteration>/          the last two policies, with all that is needed to resume
     args.json                         arguments, seed and versions
     tensorboard/                      learning curves
@@ -14,6 +14,7 @@ seed and its number: a run that was killed and resumed ends with the weights of 
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from dataclasses import asdict, dataclass
@@ -56,8 +57,9 @@ from train.watch import Watch, run_script, show_progress
 # Seeds of selection and of the report on what was selected; evaluation seeds start at 2,000,000.
 TUNING_SEEDS, REPORT_SEEDS = 1_000_000, 1_500_000
 DEFAULT_SUITE = "hard"
+LEAST_LOSS = 0.01  # of success: a policy that loses more than this on the tuning seeds is not kept
 # Arguments that decide what a checkpoint means; a resumed run must have the same.
-FIXED = ("scenarios", "suite", "seed", "variant", "set", "worlds", "group", "hidden", "worst")
+FIXED = ("scenarios", "suite", "seed", "variant", "set", "worlds", "group", "hidden", "worst", "cut")
 
 
 @dataclass
@@ -132,7 +134,13 @@ def check_args(args: Args) -> None:
     for name, low in (least | {"eval_every": 0, "eval_episodes": 2, "report_episodes": 0}).items():
         if getattr(args, name) < low:
             raise InputError(f"{name} {getattr(args, name)} is too small; choices: {low}, {low + 1}, ...")
-    ranges = (("learning_rate", 0.0, 1.0), ("log_std", -20.0, 2.0), ("clip", 0.0, 1.0), ("worst", 0.0, 1e6))
+    ranges = (
+        ("learning_rate", 0.0, 1.0),
+        ("log_std", -20.0, 2.0),
+        ("clip", 0.0, 1.0),
+        ("worst", 0.0, 1e6),
+        ("cut", 1e-6, 1e6),
+    )
     for name, lowest, highest in ranges:
         if not lowest <= (value := getattr(args, name)) <= highest:
             raise InputError(f"{name} {value:g}: choices: from {lowest:g} to {highest:g}")
@@ -181,7 +189,7 @@ def check_evaluations(checkpoint: Path, evaluations: list[dict[str, Any]]) -> No
         InputError: one lacks a number, or has none there.
     """
     for place, evaluation in enumerate(evaluations):
-        for name in ("iterations", "low"):
+        for name in ("iterations", "low", "success_rate", "expert_success_rate"):
             if type(evaluation.get(name)) not in (int, float):
                 where = f"{checkpoint}: key 'evaluations.{place}'"
                 raise InputError(f"{where}: {name} = {evaluation.get(name)!r:.60}: a number is needed")
@@ -280,7 +288,7 @@ class Run:
     @property
     def best(self) -> dict[str, Any]:
         """Return the evaluation of the kept policy; empty without any."""
-        return max(self.evaluations, key=lambda evaluation: evaluation["low"], default={})
+        return max(self.evaluations, key=rate_evaluation, default={})
 
     @property
     def cpu_seconds(self) -> float:
@@ -304,7 +312,9 @@ class Run:
             count = ground.worlds.num_envs
             seeds = np.repeat(draw.integers(TRAINING_SEEDS, size=count // args.group), args.group)
             played = play_episodes(ground.worlds, seeds, self._explore)
-            advantages = compute_advantages(compute_scores(played.robustness, ground.scale, args.worst), args.group)
+            advantages = compute_advantages(
+                compute_scores(played.robustness, ground.scale, args.worst), args.group, args.cut
+            )
             scores.append(played)
             rows.append((self.statistics.normalize(played.features), played.corrections, advantages[played.episode]))
         features, corrections, advantages = (np.concatenate(part) for part in zip(*rows, strict=True))
@@ -444,6 +454,12 @@ def compute_scores(robustness: np.ndarray, scale: float, worst: float) -> np.nda
         worst: a failure counts no more than this.
     """
     return np.maximum(robustness / scale, -worst)
+
+
+def rate_evaluation(evaluation: dict[str, Any]) -> float:
+    """Return what evaluations are ordered by: the gain that is sure, of those that lose hardly any success [m]."""
+    loses = evaluation["success_rate"] < evaluation["expert_success_rate"] - LEAST_LOSS
+    return -math.inf if loses else evaluation["low"]
 
 
 def describe_evaluation(evaluation: dict[str, Any]) -> str:

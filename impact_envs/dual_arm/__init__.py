@@ -5,3 +5,4 @@ MODEL = "impact_envs.dual_arm.model:DualArmModel"
 TASK = "impact_envs.dual_arm.task:DualArmTask"
 BATCH = "impact_envs.dual_arm.batch:make_batch"
 SHOWN_AROUND = 0.2  # elbows reach 0.11 m below the world [m]
+JOIN = "impact_envs.dual_arm.observation:join_observations"

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+import numpy as np
+
+from impact_envs.agent_vectors import read_vectors
 from impact_envs.dual_arm.schema import GRASP_SIGNALS, DualArmScenario
 from impact_envs.observation import MOTION, Layout
 
@@ -36,3 +41,19 @@ def make_joint_layout(scenario: DualArmScenario) -> Layout:
 
 def _make_layout(*arms: str) -> Layout:
     return Layout(*((f"{arm} {name}", elements) for arm in arms for name, elements in ARM.fields.items()), TIME)
+
+
+def join_observations(scenario: DualArmScenario, observations: Mapping[str, np.ndarray], joint: np.ndarray) -> None:
+    """Write the joint observation of both arms; each reports itself.
+
+    Args:
+        scenario: names the arms.
+        observations: arm to its own observation.
+        joint: takes the joint observation, laid out as `make_joint_layout` says.
+
+    Raises:
+        InputError: an arm is missing or unknown, or its observation is not as long as `make_layout` says.
+    """
+    read = read_vectors(observations, dict.fromkeys(scenario.arms, make_layout().size), "observation", finite=False)
+    first, second = (read[name] for name in scenario.arms)
+    joint[: ARM.size], joint[ARM.size : -1], joint[-1] = first[: ARM.size], second[: ARM.size], first[-1]

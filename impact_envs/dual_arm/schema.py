@@ -44,7 +44,7 @@ GRASP_SIGNALS = ("force_min", "force_max", "torque", "torque_step", "slip", "lag
 class Pose(Table):
     """A place and an angle in the plane."""
 
-    position: Vector  # [m]
+    position: Vector  # x and y [m]
     heading: Finite = 0.0  # [rad]
 
     @property
@@ -75,7 +75,7 @@ class Links(Table):
 class Joints(Table):
     """Springs of the joints, and the motors behind them under their torque loop."""
 
-    flexible: bool = True
+    flexible: bool = True  # otherwise joints have no springs
     stiffness: Three  # [N m/rad]
     damping: tuple[NonNegative, NonNegative, NonNegative]  # [N m s/rad]
     motor_inertia: Three  # [kg m^2]
@@ -88,16 +88,16 @@ class Surface(Table):
     stiffness: Positive  # k [N/m^c]
     damping: NonNegative  # d [N s/m^(c+1)]
     exponent: Annotated[float, Field(ge=1, le=3)] = 1.0  # c
-    friction: NonNegative  # mu
+    friction: NonNegative  # Coulomb coefficient, mu
     friction_slope: Positive = 1e3  # epsilon [s/m]
 
 
 class GraspBox(Table):
     """The box as believed; the true box rests on the table, which is aligned with it."""
 
-    start: Pose
-    half_width: Positive  # [m]
-    half_height: Positive  # [m]
+    start: Pose  # of the centre
+    half_width: Positive  # along its own x axis [m]
+    half_height: Positive  # along its own y axis [m]
     mass: Positive  # [kg]
 
     @property
@@ -116,15 +116,15 @@ class Truth(Table):
     """The physics of the simulated world, numbers or distributions; unset means as believed."""
 
     box_x: Quantity = 0.0  # true minus believed position of the box [m]
-    box_y: Quantity = 0.0  # [m]
-    box_heading: Quantity = 0.0  # [rad]
+    box_y: Quantity = 0.0  # the same along y [m]
+    box_heading: Quantity = 0.0  # the same of its heading [rad]
     mass_scale: Quantity = 1.0  # true mass of the box over the believed one
-    friction: Quantity | None = None  # of the pads
+    friction: Quantity | None = None  # of the pads, Coulomb coefficient
     stiffness_scale: Quantity = 1.0  # of the pads, damping with it
-    joint_stiffness_scale: Quantity = 1.0
+    joint_stiffness_scale: Quantity = 1.0  # of both arms' joints
     start_x: Quantity = 0.0  # true minus planned start of each pad, drawn per arm [m]
-    start_y: Quantity = 0.0  # [m]
-    start_heading: Quantity = 0.0  # [rad]
+    start_y: Quantity = 0.0  # the same along y [m]
+    start_heading: Quantity = 0.0  # the same of its heading [rad]
 
     @model_validator(mode="after")
     def _limits(self) -> Self:

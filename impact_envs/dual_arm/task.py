@@ -52,6 +52,8 @@ class DualArmTask:
         self.joint_layout = make_joint_layout(scenario)
         self.layouts = dict.fromkeys(scenario.agents, make_layout())
         self.action_spaces = {name: Box(-1.0, 1.0, (3,), np.float32) for name in scenario.agents}
+        elements = tuple(f"torque of joint {j} [{limit:g} N m]" for j, limit in enumerate(self._limits, 1))
+        self.action_elements = dict.fromkeys(scenario.agents, elements)
         self.observation_spaces = {name: layout.make_space() for name, layout in self.layouts.items()}
         self.joint_observation_space = self.joint_layout.make_space()
         self.state_layout = Layout(*((body, TRUTH) for body in scenario.bodies))

@@ -5,3 +5,4 @@ MODEL = "impact_envs.floating_manipulator.model:FloatingManipulatorModel"
 TASK = "impact_envs.floating_manipulator.task:FloatingManipulatorTask"
 BATCH = "impact_envs.floating_manipulator.batch:make_batch"
 SHOWN_AROUND = 0.5  # arms drift out of the world, slowly [m]
+GROUPS = {"arm": ("arm",), "base": ("base",)}  # each is driven by something else, so they share no policy

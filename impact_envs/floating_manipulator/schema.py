@@ -107,22 +107,22 @@ class Thrusters(Table):
 class Believed(Table):
     """The physics that the expert computes with, in addition to the masses of the tables above."""
 
-    restitution: Restitution
+    restitution: Restitution  # coefficient of restitution
 
 
 class Truth(Table):
     """The physics of the simulated world, numbers or distributions; unset means as believed."""
 
-    restitution: Restitution | Uniform | None = None
+    restitution: Restitution | Uniform | None = None  # coefficient of restitution, at zero speed
     restitution_speed: Quantity = 0.0  # e(v) = restitution * exp(-v / restitution_speed) [m/s]; 0 = constant
     box_mass_scale: Quantity = 1.0  # true mass and inertia over believed ones
-    base_mass_scale: Quantity = 1.0
-    load_mass_scale: Quantity = 1.0
+    base_mass_scale: Quantity = 1.0  # true mass and inertia over believed ones
+    load_mass_scale: Quantity = 1.0  # true mass and inertia over believed ones
     box_offset_x: Quantity = 0.0  # true start of the box minus the one in the file [m]
-    box_offset_y: Quantity = 0.0
+    box_offset_y: Quantity = 0.0  # the same along y [m]
     box_turn: Quantity = 0.0  # true heading of the box minus the one in the file [rad]
     stall_torque_scale: Quantity = 1.0  # of every joint's motor
-    no_load_speed_scale: Quantity = 1.0
+    no_load_speed_scale: Quantity = 1.0  # of every joint's motor
     thruster_gain: Quantity = 1.0  # true over nominal force
     position_noise: NonNegative = 0.0  # standard deviation per axis, of every body's measurement [m]
     speed_noise: NonNegative = 0.0  # the same of velocities [m/s]

@@ -70,6 +70,13 @@ class FloatingManipulatorTask:
         parts = {"arm": slice(3, None), "base": slice(0, 3)}  # of all commands
         self._parts, self._all_limits = {agent: parts[agent] for agent in self._sizes}, join_limits(scenario)
         self.action_spaces = {agent: Box(-1.0, 1.0, limit.shape, np.float32) for agent, limit in largest.items()}
+        joints, forces = [f"torque of {link}" for link in scenario.links], ("force along x", "force along y", "torque")
+        self.action_elements = {
+            "arm": tuple(f"{name} [{limit:g} N m]" for name, limit in zip(joints, largest["arm"], strict=True))
+        }
+        if "base" in largest:
+            limits = zip(forces, largest["base"], ("N", "N", "N m"), strict=True)
+            self.action_elements["base"] = tuple(f"{name} [{limit:g} {unit}]" for name, limit, unit in limits)
         self.joint_layout = make_layout(scenario)
         self.layouts = dict.fromkeys(scenario.agents, self.joint_layout)
         self._places = find_places(self.joint_layout)

@@ -70,7 +70,7 @@ class World(Box):
 class Obstacle(Region):
     """An area to avoid; ``solid`` ones stop bodies, the others exist only in the formula."""
 
-    solid: bool = False
+    solid: bool = False  # it stops bodies
 
 
 class Body(Table):
@@ -127,8 +127,8 @@ class Object(Body):
 class Believed(Table):
     """The physics that planner and expert compute with."""
 
-    restitution: Restitution
-    friction: NonNegative = 0.0
+    restitution: Restitution  # coefficient of restitution
+    friction: NonNegative = 0.0  # Coulomb coefficient at contacts
 
 
 class Drawn(NamedTuple):
@@ -193,10 +193,10 @@ class Truth(Table):
     What is drawn stands in the order of drawing, so that worlds of one seed share what they can: add at the end.
     """
 
-    restitution: Annotated[Share | None, Drawn()] = None
+    restitution: Annotated[Share | None, Drawn()] = None  # coefficient of restitution, at zero speed
     friction: Annotated[Size | None, Drawn()] = None  # Coulomb coefficient at contacts
     robot_mass_scale: Annotated[Scale, Drawn("robot")] = 1.0  # true mass over believed mass
-    object_mass_scale: Annotated[Scale, Drawn("object")] = 1.0
+    object_mass_scale: Annotated[Scale, Drawn("object")] = 1.0  # true mass over believed mass
     restitution_speed: Annotated[Size, Drawn()] = 0.0  # v_e of e(v) = restitution exp(-v / v_e) [m/s]; 0 = constant
     center_of_mass_offset: Annotated[Size, Drawn("object", (ANGLE,))] = 0.0  # in a random body direction [m]
     drift: Annotated[Size, Drawn("object", (ANGLE,))] = 0.0  # constant acceleration, random direction [m/s^2]

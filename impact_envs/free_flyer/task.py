@@ -45,6 +45,11 @@ class FreeFlyerTask:
         self._joint_shape, self._agents_shape = (1, self.joint_layout.size), (1, len(scenario.robots), own)
         self._nobody = np.empty((1, 0, own))
         self.action_spaces = {name: Box(-1.0, 1.0, (3,), np.float32) for name in scenario.agents}
+        units = ("force along its own x axis [{:g} N]", "force along its own y axis [{:g} N]", "torque [{:g} N m]")
+        self.action_elements = {
+            name: tuple(text.format(limit) for text, limit in zip(units, row, strict=True))
+            for name, row in zip(scenario.agents, limits, strict=True)
+        }
         self.observation_spaces = {name: layout.make_space() for name, layout in self.layouts.items()}
         self.joint_observation_space = self.joint_layout.make_space()
         self.state_layout = Layout(*((body, MOTION) for body in scenario.bodies))

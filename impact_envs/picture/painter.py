@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,68 +13,20 @@ from impact_envs.errors import InputError, choices
 from impact_envs.picture import drawing, labels
 from impact_envs.picture.canvas import ZOOM, Canvas
 from impact_envs.picture.drawing import Color, Points, mix
+from impact_envs.picture.frame import FOOTER, HEADER, MARGIN, Frame, Mark, Pose
+from impact_envs.picture.header import Writer, write_header
 from impact_envs.picture.trails import Trails
-from impact_envs.picture.unit import write_robustness
 from impact_envs.shape import Shape
 
 if TYPE_CHECKING:
     import pygame
 
-Pose = tuple[float, float, float]
-
-HEADER, FOOTER, MARGIN = 66, 18, 14  # [px]
 FADE = 2.0  # [s] for which an impact is drawn larger and brighter, where nobody says how fast time is shown
 SEEN = 1.0  # [s] of the viewer's time for the same
 FLASH = 0.5  # share of it in which a ring spreads
 ARROW = 3.0  # [s]: an arrow is as long as its change of velocity moves a body in this time
 LEAST_ARROW, LARGEST_ARROW = 26.0, 150.0  # [px]
 KEPT_IMPACTS = 12
-
-
-class Mark(NamedTuple):
-    """An impact as it is drawn.
-
-    Attributes:
-        x, y: where [m].
-        age: time since [s].
-        changes: (x, y, vx, vy) of each body that it struck: where its centre was, change of its velocity [m, m/s].
-    """
-
-    x: float
-    y: float
-    age: float
-    changes: Sequence[tuple[float, float, float, float]] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """Hold what changes from picture to picture.
-
-    Args:
-        time: since the start of the episode [s].
-        poses: (x, y, heading) of each body [m, m, rad].
-        chains: links from where a body is held to the body, by body, shape (n, 2) [m].
-        trails: positions so far of each body, shape (n, 2) [m].
-        plans: planned curves by body (any other name is drawn grey), shape (n, 2) [m].
-        impacts: oldest first; the last dozen are drawn.
-        robustness: interval of robustness still possible; None when there is no formula.
-        unit: of the robustness; may be empty.
-        caption: first header line, for example scenario and policy.
-        speed: time shown in one second of the viewer's, 1 is real time; None where nobody knows.
-        note: a line at the lower edge, for example which keys there are.
-    """
-
-    time: float
-    poses: Mapping[str, Pose]
-    chains: Mapping[str, Points] = field(default_factory=dict)
-    trails: Mapping[str, Points] = field(default_factory=dict)
-    plans: Mapping[str, Points] = field(default_factory=dict)
-    impacts: Sequence[Mark] = ()
-    robustness: tuple[float, float] | None = None
-    unit: str = ""
-    caption: str = ""
-    speed: float | None = None
-    note: str = ""
 
 
 class Painter:
@@ -127,8 +78,7 @@ class Painter:
         closed = [labels.sample_line(np.vstack([o, o[:1]]), labels.SPACING) for o in outlines]
         self._edges = labels.box_points(np.vstack([np.zeros((0, 2)), *closed]), labels.EDGE)
         self._colors = _body_colors(self._carried)
-        self._fonts: dict[str, pygame.font.Font] = {}
-        self._texts: dict[tuple[Any, ...], pygame.Surface] = {}  # labels, which are written again and again
+        self._writer = Writer()
         self._canvas: Canvas | None = None
         self._trails = Trails(2.5 * ZOOM)
         self._plans: dict[str, Points] = {}  # as drawn
@@ -163,22 +113,13 @@ class Painter:
             moved += self._draw_mark(sheet, mark, frame.speed)
         picture = canvas.shrink(moved)
         self._write_labels(picture, frame)
-        self._write_header(picture, frame)
+        write_header(picture, frame, self._writer, choose_grid(self._upper - self._lower))
         return picture
 
     def _pixels(self, points: Any, zoom: int = ZOOM) -> Points:
         """Map world points (n, 2) to pixels; the screen's y axis points down."""
         offset = np.asarray(points, float).reshape(-1, 2) - self._lower
         return zoom * (self._origin + self._scale * offset * (1, -1))
-
-    def _font(self, name: str) -> pygame.font.Font:
-        if not self._fonts:
-            import pygame
-
-            pygame.font.init()
-            sizes = {"title": (16, True), "verdict": (14, True), "text": (13, False), "label": (12, False)}
-            self._fonts = {key: drawing.load_font(*size) for key, size in sizes.items()}
-        return self._fonts[name]
 
     def _draw_ground(self, canvas: pygame.Surface) -> None:
         """Draw what never changes: paper, grid, regions, obstacles."""
@@ -188,7 +129,7 @@ class Painter:
         (left, bottom), (right, top) = np.rint(self._pixels([self._lower, self._upper])).astype(int).tolist()
         area = pygame.Rect(left, top, right - left, bottom - top)
         canvas.fill(drawing.WORLD, area)
-        step = _grid_step(self._upper - self._lower)
+        step = choose_grid(self._upper - self._lower)
         for axis, (lower, upper) in enumerate(zip(self._lower, self._upper, strict=True)):
             for value in step * np.arange(math.ceil(lower / step), math.floor(upper / step) + 1):
                 ends = np.array([self._lower, self._upper])
@@ -287,7 +228,7 @@ class Painter:
         for shape, low, high in named:
             if not shape.label:
                 continue
-            text = self._render(shape.label, "label", _label_color(shape), drawing.WORLD)
+            text = self._writer.render(shape.label, "label", _label_color(shape), drawing.WORLD)
             find_places = labels.place_inside if shape.body is None else labels.place_beside
             place = labels.choose_place(find_places(low, high, text.get_size()), taken, view)
             picture.blit(text, np.rint(place[:2]).astype(int).tolist())
@@ -302,50 +243,6 @@ class Painter:
         points = self._pixels(_place(samples, pose), zoom=1)
         return points.min(axis=0), points.max(axis=0), labels.box_points(points)
 
-    def _render(
-        self, text: str, font: str, color: Color, halo: Color | None = None, kept: bool = True
-    ) -> pygame.Surface:
-        """Return a text as a picture; one that is written again and again is kept."""
-        key = (text, font, color, halo)
-        if key not in self._texts:
-            made = drawing.render_text(text, self._font(font), color, halo)
-            if not kept:
-                return made
-            self._texts[key] = made
-        return self._texts[key]
-
-    def _write_header(self, picture: pygame.Surface, frame: Frame) -> None:
-        """Write caption, clock, robustness and verdict above, the grid's step and a note below."""
-        width, height = self.size
-        caption = self._fit(frame.caption, "title", width - 2 * MARGIN)
-        picture.blit(self._render(caption, "title", drawing.INK), (MARGIN, 10))
-        words = [f"t = {frame.time:.{2 if (frame.speed or 1.0) < 1.0 else 1}f} s"]
-        if frame.speed is not None:
-            words.append("real time" if frame.speed == 1.0 else f"{frame.speed:.2g}\N{MULTIPLICATION SIGN} real time")
-        room = width - 2 * MARGIN
-        if frame.robustness is not None:
-            words.append(write_robustness(*frame.robustness, frame.unit))
-            verdict, color = _verdict(*frame.robustness)
-            text = self._render(verdict, "verdict", drawing.PAPER)
-            place = text.get_rect(midright=(width - MARGIN - 8, 46))
-            _draw_badge(picture, color, place.inflate(16, 5))
-            picture.blit(text, place)
-            room -= place.w + 28
-        readout = self._render(self._fit("   ".join(words), "text", room), "text", drawing.MUTED, kept=False)
-        picture.blit(readout, readout.get_rect(midleft=(MARGIN, 46)))
-        step = _grid_step(self._upper - self._lower)
-        grid = self._render(f"grid {step:g} m", "label", drawing.MUTED)
-        picture.blit(grid, grid.get_rect(bottomright=(width - MARGIN, height - 5)))
-        note = frame.note or ("arrows: change of velocity at an impact" if frame.impacts else "")
-        line = self._render(self._fit(note, "label", width - 3 * MARGIN - grid.get_width()), "label", drawing.MUTED)
-        picture.blit(line, line.get_rect(bottomleft=(MARGIN, height - 5)))
-
-    def _fit(self, text: str, font: str, room: float) -> str:
-        """Return a text cut to fit into a width [px]."""
-        while text and self._font(font).size(text)[0] > room:
-            text = text[:-2] + "…" if len(text) > 2 else ""
-        return text
-
 
 def _default_size(extent: Points) -> tuple[int, int]:
     """Fit the world into 900 x 720 px; wide enough for the header; even, as H.264 wants."""
@@ -353,13 +250,6 @@ def _default_size(extent: Points) -> tuple[int, int]:
     width = max(540, scale * extent[0] + 2 * MARGIN)
     height = scale * extent[1] + 2 * MARGIN + HEADER + FOOTER
     return 2 * math.ceil(width / 2), 2 * math.ceil(height / 2)
-
-
-def _grid_step(extent: Points) -> float:
-    """Return the smallest of 1, 2, 5 x 10^k m that gives at most 12 lines along the longer side."""
-    need = float(extent.max()) / 12
-    decade = 10.0 ** math.floor(math.log10(need))
-    return next(decade * factor for factor in (1, 2, 5, 10) if decade * factor >= need)
 
 
 def _body_colors(carried: Sequence[tuple[str, Shape]]) -> dict[str, Color]:
@@ -380,19 +270,14 @@ def _place(vertices: Sequence[tuple[float, float]] | Points, pose: Pose) -> Poin
     return np.asarray(vertices, float) @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
 
 
-def _verdict(lower: float, upper: float) -> tuple[str, Color]:
-    if lower > 0:
-        return "satisfied", drawing.SATISFIED
-    return ("violated", drawing.VIOLATED) if upper < 0 else ("undecided", drawing.UNDECIDED)
-
-
 def _label_color(shape: Shape) -> Color:
     if shape.body is not None:
         return drawing.INK
     return drawing.REGION_INK if shape.role == "region" else drawing.SOLID_INK
 
 
-def _draw_badge(picture: pygame.Surface, color: Color, place: pygame.Rect) -> None:
-    import pygame
-
-    pygame.draw.rect(picture, color, place, border_radius=place.h // 2)
+def choose_grid(extent: Points) -> float:
+    """Return the smallest of 1, 2, 5 x 10^k m that gives at most 12 lines along the longer side."""
+    need = float(extent.max()) / 12
+    decade = 10.0 ** math.floor(math.log10(need))
+    return next(decade * factor for factor in (1, 2, 5, 10) if decade * factor >= need)

@@ -11,8 +11,8 @@ from planners import list_options, make_expert
 from tests.frozen.freeze import get_plan
 from tests.fuzz.mutations import LISTS, NUMBERS, WORDS, answered, check, check_finite, list_places, mistyped
 from tests.fuzz.test_scenarios import TRUTH
-from train.settings import parse_settings
 from train.evaluation.case import check_settings, make_case
+from train.settings import parse_settings
 
 NAMES = ("throw_and_catch", "corridor", "floating_manipulator_thrusters", "dual_arm_grasp")
 SCENARIOS = {name: load_scenario(name) for name in NAMES}

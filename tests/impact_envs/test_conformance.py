@@ -24,6 +24,7 @@ from impact_envs import gym_id, list_scenarios, load_scenario, parallel_env
 SCENARIOS = list_scenarios()
 # One scenario of each domain, and one of seven bodies.
 VARIED = ("throw_and_catch", "crew", "floating_manipulator_thrusters", "dual_arm_grasp")
+EVERY = [pytest.param(name, marks=() if name in VARIED else pytest.mark.slow) for name in SCENARIOS]
 CYCLES = 60
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -46,7 +47,7 @@ def module(name):
     return types.SimpleNamespace(parallel_env=parallel, env=env)
 
 
-@pytest.mark.parametrize("name", VARIED)
+@pytest.mark.parametrize("name", EVERY)
 def test_pettingzoo_battery(name):
     made = module(name)
     parallel_api_test(made.parallel_env(), num_cycles=CYCLES)
@@ -57,7 +58,7 @@ def test_pettingzoo_battery(name):
     state_test(made.env(), made.parallel_env())
 
 
-@pytest.mark.parametrize("name", VARIED)
+@pytest.mark.parametrize("name", EVERY)
 def test_gymnasium_and_sb3_checkers(name):
     from stable_baselines3.common.env_checker import check_env as sb3_check
 

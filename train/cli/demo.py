@@ -7,12 +7,13 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from rich.console import Console
 
 from impact_envs.errors import InputError
 from train.cli.plan import Command as PlanCommand
+from train.cli.progress import say_written
 from train.evaluation.folder_lock import lock_folder
 
 SCENARIOS = ("throw_and_catch", "corridor")
@@ -23,6 +24,7 @@ POLICY = "corridor_hard"
 class Command:
     """Do the main job in small: plan, evaluate expert and learned policy, write the report."""
 
+    extras: ClassVar[tuple[str, ...]] = ("all",)
     episodes: int = 20
     """Episodes per scenario, suite and policy."""
     out: Path = Path("report")
@@ -57,6 +59,7 @@ class Command:
             out=self.out,
         )
         report = write_report(self.out)
+        say_written(report)
         return {"plans": plans, "rows": result.rows, "paired": result.paired, "report": str(report)}
 
 

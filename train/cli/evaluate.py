@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional
 
 from impact_envs.errors import InputError
 from train.cli.plan import check_plan_options, load_plan
+from train.cli.progress import say_written
 from train.evaluation.case import EVALUATION_SEEDS, make_cases
 from train.settings import parse_settings
 
@@ -18,10 +21,12 @@ from train.settings import parse_settings
 class Command:
     """Judge policies on the same seeds."""
 
+    extras: ClassVar[tuple[str, ...]] = ("plan", "report")
     scenarios: Positional[tuple[str, ...]]
     """Shipped names or TOML files."""
     policies: tuple[str, ...] = ("expert", "zero")
-    """expert, oracle (told the truth), zero, random, variants of the expert, shipped policies or checkpoint folders."""
+    """expert, oracle (told the truth), zero, random, variants of the expert, shipped policies or checkpoint folders, or
+    MODULE:FACTORY of your own (module in the working folder, or a file: mine.py:make)."""
     episodes: int = 20
     """Episodes per scenario, suite and policy."""
     seed: int = EVALUATION_SEEDS
@@ -68,6 +73,9 @@ class Command:
             self.out,
             batched=self.batched,
         )
+        if self.out is not None:
+            say_written(self.out)
+            print(f"next: impact report {shlex.quote(str(self.out))}", file=sys.stderr)
         return {"rows": result.rows, "paired": result.paired, "set": settings} | self._describe_plan()
 
     def _check_plan(self) -> None:

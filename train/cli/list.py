@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from impact_envs.scenario import list_scenarios, load_scenario
 
@@ -12,6 +12,7 @@ from impact_envs.scenario import list_scenarios, load_scenario
 class Command:
     """List the shipped scenarios."""
 
+    extras: ClassVar[tuple[str, ...]] = ()
     json: bool = False
 
     def run(self) -> dict[str, Any]:
@@ -27,6 +28,7 @@ class Command:
                     "gym_id": gym_id(s.name),
                     "horizon": s.horizon,
                     "agents": list(s.agents),
+                    "description": s.description,
                 }
                 for s in scenarios
             ]

@@ -2,6 +2,7 @@
 
 Every command takes a scenario name or the path of a TOML file. With ``--json`` the last line of standard output is
 one JSON object and nothing else goes there. Exit codes: 0 done, 1 the thing itself failed, 2 bad input.
+``impact --version`` says which version this is.
 """
 
 from __future__ import annotations
@@ -10,28 +11,39 @@ import contextlib
 import errno
 import io
 import json
+import os
 import re
 import sys
 import time
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import tyro
 
+import impact_envs
 from impact_envs.errors import InputError, choices
+from impact_envs.extras import describe_missing
 from planners.errors import PlanningError
+from train.cli.progress import show_planning
 from train.evaluation.errors import Diverged, WorkerLost
 
-COMMANDS = ("list", "plan", "run", "play", "train", "tune", "evaluate", "compare", "report", "reproduce", "demo")
+COMMANDS = (
+    "list", "plan", "run", "play", "train", "tune", "dataset", "evaluate", "compare", "report", "reproduce", "demo",
+)  # fmt: skip
 # Faults of the disk; some libraries do not say of which file.
 DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 class Command(Protocol):
-    """The arguments of a subcommand, in the file of its name."""
+    """The arguments of a subcommand, in the file of its name.
 
+    Attributes:
+        extras: of the distribution that it needs.
+    """
+
+    extras: ClassVar[tuple[str, ...]]
     json: bool
 
     def run(self) -> dict[str, Any]:
@@ -47,11 +59,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit code: 0 done, 1 the thing itself failed, 2 bad input.
     """
+    start = time.perf_counter()
     try:
         command = _parse(sys.argv[1:] if arguments is None else list(arguments))
-        start = time.perf_counter()
         # Solvers and libraries may print; standard output is the result's alone.
-        with contextlib.redirect_stdout(sys.stderr):
+        with contextlib.redirect_stdout(sys.stderr), show_planning():
             result = command.run()
         result.setdefault("wall_seconds", time.perf_counter() - start)
     except InputError as error:
@@ -65,21 +77,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (PlanningError, WorkerLost, Diverged) as error:
         print(f"impact: {error}", file=sys.stderr)
         return 1
+    except ModuleNotFoundError as error:
+        missing = describe_missing(error, command.extras)
+        if missing is None:
+            raise
+        print(f"impact: {missing}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("impact: interrupted; what was finished is kept", file=sys.stderr)
         return 130
-    if command.json:
-        print(json.dumps(result, default=_plain))
-    else:
-        from train.cli.printing import show
+    try:
+        if command.json:
+            print(json.dumps(result, default=_plain), flush=True)
+        else:
+            from train.cli.printing import show
 
-        show(result)
+            show(result)
+    except BrokenPipeError:  # who read it has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 
 def _parse(arguments: list[str]) -> Command:
     """Parse arguments; tyro's boxed message becomes one line."""
     name = arguments[0] if arguments else "--help"
+    if name == "--version":
+        print(f"impact-envs {impact_envs.__version__}")
+        raise SystemExit
     if not name.startswith("-") and name not in COMMANDS:
         raise InputError(f"command '{name}' is unknown; {choices(name, COMMANDS)}")
     said = io.StringIO()

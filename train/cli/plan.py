@@ -5,14 +5,15 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 from tyro.conf import Positional
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError
-from impact_envs.file import make_file_name, write_atomically
+from impact_envs.file import make_file_name, write_table
 from impact_envs.scenario import load_scenario
+from train.cli.progress import say_written
 from train.pictures.file import check_picture_path
 
 if TYPE_CHECKING:
@@ -22,8 +23,12 @@ if TYPE_CHECKING:
 
 @dataclass
 class Command:
-    """Plan a scenario, prove the plan's optimality and check it by simulation."""
+    """Plan a scenario of free-flyers, prove the plan's optimality and check it by simulation.
 
+    The experts of the other domains, floating_manipulator and dual_arm, follow no plan.
+    """
+
+    extras: ClassVar[tuple[str, ...]] = ("plan",)
     scenario: Positional[str]
     """Shipped name or TOML file."""
     objective: Literal["robustness", "impact_uncertainty"] = "robustness"
@@ -41,7 +46,8 @@ class Command:
     out: Path | None = None
     """Write the plan here as JSON."""
     csv: Path | None = None
-    """Write sampled trajectories into this folder, one CSV file per body."""
+    """Write the sampled plan into this folder, one CSV file per body (t [s], x, y [m], vx, vy [m/s], heading [rad], of
+    robots the force in the world's frame [N]), and plan.impacts.csv."""
     published: Path | None = None
     """Write the plan into this folder in the CSV format of the published planner."""
     plot: Path | None = None
@@ -109,14 +115,14 @@ class Command:
     def _write(self, scenario: Any, plan: Plan) -> None:
         if self.out:
             plan.save(self.out)
-        if self.csv:
-            _write_samples(plan, scenario.control_period, self.csv)
+        samples = _write_samples(scenario, plan, self.csv) if self.csv else []
         if self.published:
             from planners.free_flyer.published.plan_file import write_published_plan
 
             write_published_plan(plan, self.published, scenario.name)
         if self.plot:
             find_part("train", scenario.domain, "PLAN_PICTURE")(scenario, plan, self.plot)
+        say_written(self.out, *samples, self.published, self.plot)
 
     def _plan_by_bezier(self, scenario: Any) -> dict[str, Any]:
         from planners.free_flyer.published.encoding import make_bezier_plan
@@ -265,8 +271,8 @@ def _summary(scenario: Any, plan: Plan) -> dict[str, Any]:
         "gap": round(plan.gap, 6),
         **deviation,
         **_describe_shapes(plan),
-        "effort": plan.effort,
-        "effort_bound": plan.effort_bound,
+        "path_cost": plan.effort,
+        "path_cost_bound": plan.effort_bound,
         "impacts": [
             {
                 "time": hit.time,
@@ -290,14 +296,34 @@ def _describe_shapes(plan: Plan) -> dict[str, Any]:
     return {"shape_error": plan.shape_error, "warning": told}
 
 
-def _write_samples(plan: Plan, period: float, folder: Path) -> None:
-    import numpy as np
-    import pandas as pd
+def _write_samples(scenario: Any, plan: Plan, folder: Path) -> list[Path]:
+    """Write a table for each body, one row a control period, and one of the impacts; returns the files.
 
-    times = np.arange(round(plan.horizon / period) + 1) * period
+    Robots hold their heading, and need the force m a, in the world's frame.
+    """
+    import numpy as np
+
+    times = np.arange(round(plan.horizon / scenario.control_period) + 1) * scenario.control_period
+    times = np.minimum(times, plan.horizon)  # rounding must not leave the plan, where nothing moves
+    bodies, files = scenario.robots | scenario.objects, []
     for name, curve in (plan.robots | plan.objects).items():
-        p = np.array([curve.position(t) for t in times])
-        v = np.array([curve.velocity(t) for t in times])
-        columns = {"t": times, "x": p[:, 0], "y": p[:, 1], "vx": v[:, 0], "vy": v[:, 1]}
-        text = pd.DataFrame(columns).to_csv(index=False)
-        write_atomically(folder / make_file_name(name, suffix=".csv"), text.encode())
+        body, (x, y), (vx, vy) = bodies[name], curve.position(times).T, curve.velocity(times).T
+        columns = {"t": times, "x": x, "y": y, "vx": vx, "vy": vy}
+        columns["heading"] = body.heading + body.start_rate * times
+        if name in plan.robots:
+            columns["force_x"], columns["force_y"] = body.mass * curve.acceleration(times).T
+        files.append(folder / make_file_name(name, suffix=".csv"))
+        write_table(files[-1], columns)
+    files.append(folder / "plan.impacts.csv")  # no body has a name with a dot
+    write_table(files[-1], _list_impacts(plan))
+    return files
+
+
+def _list_impacts(plan: Plan) -> dict[str, Any]:
+    columns: dict[str, Any] = {
+        name: [getattr(hit, name) for hit in plan.impacts] for name in ("time", "robot", "object")
+    }
+    for name in ("position", "contact", "normal", "robot_minus", "robot_plus", "object_minus", "object_plus"):
+        for axis, letter in enumerate("xy"):
+            columns[f"{name}_{letter}"] = [float(getattr(hit, name)[axis]) for hit in plan.impacts]
+    return columns

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import Positional
 
@@ -18,6 +18,7 @@ OTHERS = ("zero", "expert")
 class Command:
     """Fly a robot with the keys against the clock; at the end the robustness says how well."""
 
+    extras: ClassVar[tuple[str, ...]] = ("plan",)
     scenario: Positional[str]
     """Shipped name or TOML file."""
     robot: str | None = None

@@ -1,8 +1,9 @@
-"""What a command prints for people, where ``--json`` is not asked for."""
+"""What a command prints for people, where ``--json`` is not asked for: names with units, four significant digits."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,55 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Column, Table
 
+from impact_envs.domain import find_part, list_domains
 from train.evaluation.metric import UNKNOWN
-from train.evaluation.metrics import list_columns
+from train.evaluation.metrics import find_metrics, list_columns
 from train.evaluation.statistics import GROUP
 
 NOT_APPLICABLE = "not applicable"
 TABLE_WIDTH = 150  # columns; a narrower table would cut its numbers
+# Key of a result to what it is called and its unit; domains bring more units, see UNITS in train.
+NAMES: dict[str, tuple[str, str]] = {
+    "robustness": ("robustness", "m"),
+    "bound": ("no plan has more than", "m"),
+    "gap": ("gap: what is missing to that, over max(1 m, it)", ""),
+    "path_cost": ("path cost, sum of displacement² / duration", "m²/s"),
+    "path_cost_bound": ("no plan as robust costs less than", "m²/s"),
+    "effort": ("effort, sum of |force| dt", "N s"),
+    "solve_seconds": ("time to plan", "s"),
+    "stage_seconds": ("of it", "s"),
+    "validated": ("checked by simulation", ""),
+    "success": ("formula satisfied", ""),
+    "failure": ("simulation failed", ""),
+    "solve_ms": ("computing time of a control period", "ms"),
+    "replans": ("plans changed on the way", ""),
+    "reoptimised": ("rest of the task planned anew", ""),
+    "episode_seconds": ("time to play the episode", "s"),
+    "wall_seconds": ("you waited", "s"),
+    "set": ("changed values", ""),
+    "deviation": ("deviation of impacts that it bears", "m/s"),
+    "deviation_bound": ("no plan bears more than", "m/s"),
+    "impact_error": ("largest error of the impact law", "m/s"),
+    "shape_error": ("robustness may be lower by", "m"),
+}
+COLUMNS = {
+    "time": "time [s]",
+    "a": "body",
+    "b": "other body",
+    "position": "centre of object [m]",
+    "point": "contact [m]",
+    "impulse": "impulse [N s]",
+    "speed": "approach [m/s]",
+    "mass": "mass [kg]",
+    "mass_spread": "its spread [kg]",
+    "restitution_spread": "its spread",
+    "drift": "drift [m/s²]",
+}
+SKIPPED = ("scenarios", "rows", "paired", "plans", "domain", "wrote", "comparison")
 
 
 def show(result: dict[str, Any]) -> None:
-    """Print a command's result for people: tables of scenarios, episodes and impacts, then plain values.
+    """Print a command's result for people: tables of scenarios, episodes and impacts, and named values.
 
     Args:
         result: what the command would print as JSON.
@@ -29,7 +69,7 @@ def show(result: dict[str, Any]) -> None:
     console = Console()
     console.width = max(console.width, TABLE_WIDTH)
     if "scenarios" in result:
-        console.print(_table(result["scenarios"]))
+        console.print(_scenario_table(result["scenarios"]))
     if "rows" in result:
         table = _evaluation_table(result["rows"])
         # Rather broken by the terminal than cut.
@@ -37,30 +77,85 @@ def show(result: dict[str, Any]) -> None:
         console.print(table, width=max(console.width, least), crop=False)
     if "comparison" in result:
         console.print(_comparison_table(result["comparison"]), crop=False)
-    plain = {k: v for k, v in result.items() if k not in ("scenarios", "rows", "paired", "plans", "comparison")}
-    if not plain.get("set"):
-        plain.pop("set", None)
-    for key, value in plain.items():
-        if isinstance(value, list):
-            console.print(_table(value) if value else f"{key}: none")
+    lines = _Lines(console, _find_units(result.get("domain", "")))
+    for key, value in result.items():
+        if key in SKIPPED or (key in ("set", "failure", "renamed", "violations") and not value):
+            continue
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            lines.end()
+            console.print(f"{_name(key)}:", highlight=False)
+            console.print(_table(value))
         else:
-            console.print(f"{key}: {NOT_APPLICABLE if value is None else value}", highlight=False)
+            lines.add(key, value)
+    lines.end()
+
+
+class _Lines:
+    """Gather named values, and print them one below the other.
+
+    Args:
+        console: to print on.
+        units: of values, by their keys.
+    """
+
+    def __init__(self, console: Console, units: Mapping[str, str]) -> None:
+        self._console, self._units = console, units
+        self._rows: list[tuple[str, str]] = []
+
+    def add(self, key: str, value: Any) -> None:
+        """Take a value."""
+        unit = self._units.get(key, NAMES.get(key, ("", ""))[1])
+        text = _text(value, none="none") if value is not None else NOT_APPLICABLE
+        self._rows.append((_name(key), f"{text} {unit}" if unit and value not in (None, {}) else text))
+
+    def end(self) -> None:
+        """Print what was gathered."""
+        width = max((len(name) for name, _ in self._rows), default=0)
+        for name, text in self._rows:
+            self._console.print(f"{name:<{width}}  {text}", markup=False, highlight=False, soft_wrap=True)
+        self._rows = []
+
+
+@cache
+def _find_units(domain: str) -> dict[str, str]:
+    """Return the units of what a domain measures and prints, by the keys."""
+    if domain not in list_domains():
+        return {}
+    return {metric.name: metric.unit for metric in find_metrics(domain)} | (find_part("train", domain, "UNITS") or {})
+
+
+def _name(key: str) -> str:
+    return NAMES.get(key, (key.replace("_", " "), ""))[0]
 
 
 def _table(rows: Sequence[dict[str, Any]]) -> Table:
-    table = Table(*(Column(name, overflow="fold") for name in rows[0]))
+    heads = (escape(COLUMNS.get(name, name.replace("_", " "))) for name in rows[0])
+    table = Table(*(Column(head, overflow="fold") for head in heads))
     for row in rows:
-        table.add_row(*(_text(value) for value in row.values()))
+        table.add_row(*(escape(_text(value)) for value in row.values()))
     return table
 
 
-def _text(value: Any) -> str:
+def _scenario_table(scenarios: Sequence[dict[str, Any]]) -> Table:
+    table = Table("scenario", "what it is; domain, agents, horizon, Gymnasium id", box=SIMPLE_HEAD, show_lines=True)
+    for s in scenarios:
+        facts = f"{s['domain']}; {', '.join(s['agents'])}; {_text(s['horizon'])} s; {s['gym_id']}"
+        table.add_row(escape(s["name"]), f"{escape(s['description'])}\n[dim]{escape(facts)}[/dim]")
+    return table
+
+
+def _text(value: Any, none: str = "") -> str:
+    """Return a value as a person reads it: words for truth, four digits, no brackets."""
     if value is None:
         return UNKNOWN
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_text(item)}" for key, item in value.items()) or none
     if isinstance(value, list | tuple):
-        return ", ".join(_text(item) for item in value)
+        return ", ".join(_text(item) for item in value) or none
     return str(value)
 
 

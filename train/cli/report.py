@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import Positional
+
+from train.cli.progress import say_written
 
 
 @dataclass
 class Command:
     """Write one self-contained HTML page from an evaluation."""
 
+    extras: ClassVar[tuple[str, ...]] = ("report",)
     folder: Positional[Path]
     """Folder that impact evaluate --out wrote."""
     json: bool = False
@@ -21,4 +24,6 @@ class Command:
         """Return the page's path."""
         from train.report.page import write_report
 
-        return {"report": str(write_report(self.folder))}
+        report = write_report(self.folder)
+        say_written(report)
+        return {"report": str(report)}

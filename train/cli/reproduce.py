@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import Positional
 
@@ -15,6 +15,7 @@ from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from impact_envs.file import write_atomically
 from impact_envs.scenario import load_scenario
+from train.cli.progress import say_written
 from train.papers.comparison import compare, write_table
 from train.papers.paper import Paper, Play, load_paper
 
@@ -23,6 +24,7 @@ from train.papers.paper import Paper, Play, load_paper
 class Command:
     """Put a paper's published numbers beside those computed here, and draw its figures."""
 
+    extras: ClassVar[tuple[str, ...]] = ("plan", "report")
     paper: Positional[str]
     """verhagen, nekoo, van_steen, or the domain's name."""
     figure: Positional[str | None] = None
@@ -53,6 +55,7 @@ class Command:
         rows = compare(paper, results)
         if self.out is not None:
             write_atomically(self.out / f"{paper.name}.md", write_table(rows).encode())
+            say_written(self.out / f"{paper.name}.md")
         figures = [
             {"figure": figure, "file": str(drawn[entry.play]), "shows": entry.says}
             for figure, entry in paper.figures.items()

@@ -5,14 +5,16 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import Positional
 
 from impact_envs.domain import find_part
+from impact_envs.episode_file import check_episode_path
 from impact_envs.errors import InputError
 from impact_envs.scenario import Scenario
 from train.cli.plan import check_plan_options, load_plan
+from train.cli.progress import say_written
 from train.evaluation.case import EVALUATION_SEEDS, check_settings, has_expert, make_case
 from train.pictures.file import check_picture_path
 from train.settings import parse_settings
@@ -22,10 +24,12 @@ from train.settings import parse_settings
 class Command:
     """Run one episode."""
 
+    extras: ClassVar[tuple[str, ...]] = ("plan",)
     scenario: Positional[str]
     """Shipped name or TOML file."""
     policy: str = "expert"
-    """expert, oracle (told the truth), zero, random, a variant of the expert, a shipped policy or checkpoint folder."""
+    """expert, oracle (told the truth), zero, random, a variant of the expert, a shipped policy or checkpoint folder, or
+    MODULE:FACTORY of your own (module in the working folder, or a file: mine.py:make)."""
     seed: int = EVALUATION_SEEDS
     """Of the whole episode."""
     suite: str = "nominal"
@@ -44,6 +48,8 @@ class Command:
     """Of a film or window, in times real time; default: 3, less for a short episode."""
     plot: Path | None = None
     """Draw the whole episode: a file ending in .png, .pdf or .svg."""
+    save: Path | None = None
+    """Write the trajectory, with actions, rewards and impacts: a file ending in .npz, .parquet or .csv."""
     json: bool = False
 
     def run(self) -> dict[str, Any]:
@@ -51,6 +57,7 @@ class Command:
         from impact_envs.env import parallel_env
         from impact_envs.rollout import rollout
         from train.evaluation.metrics import find_metrics, measure
+        from train.evaluation.own_policy import announce
         from train.evaluation.player import make_policy
 
         settings = parse_settings(self.set)
@@ -60,6 +67,7 @@ class Command:
         film = self._check(scenario)
         given = load_plan(self.plan, scenario, self.rename) if self.plan else None
         plan = given.admit(self.force) if given else None
+        announce((self.policy,))
         policy = make_policy(self.policy, scenario, plan, case.options)
         record = self._make_record(scenario, policy)
         env = parallel_env(scenario, render_mode="rgb_array" if film else None)
@@ -78,13 +86,16 @@ class Command:
         env.close()
         if self.plot:
             find_part("train", scenario.domain, "PICTURE")(record, episode, self.plot)
+        saved = episode.save(self.save) if self.save else ()
+        say_written(film and film.path, self.plot, *saved)
         figures = find_part("train", scenario.domain, "FIGURES")
         return (
-            _summarize(episode, self.suite)
+            _summarize(episode, scenario, self.suite)
             | {"set": settings}
             | measure(find_metrics(scenario.domain), episode, scenario, _find_plan(policy))
             | (figures(record, episode) if figures else {})
             | (given.describe() if given else {})
+            | _explain(episode, scenario, self.policy)
         )
 
     def _check(self, scenario: Scenario) -> Any:
@@ -98,6 +109,8 @@ class Command:
             check_picture_path(self.plot)
             if find_part("train", scenario.domain, "PICTURE") is None:
                 raise InputError(f"--plot {self.plot}: domain '{scenario.domain}' draws no picture of an episode")
+        if self.save:
+            check_episode_path(self.save)
         return self._open_viewer(scenario)
 
     def _open_viewer(self, scenario: Scenario) -> Any:
@@ -135,7 +148,14 @@ def _sample_curves(policy: Any) -> dict[str, Any]:
     return {name: np.array([curve.position(t) for t in times]) for name, curve in curves.items()}
 
 
-def _summarize(episode: Any, suite: str) -> dict[str, Any]:
+def _explain(episode: Any, scenario: Scenario, policy: str) -> dict[str, str]:
+    """Return why an episode of an expert ends without success where the published one does."""
+    outcomes = find_part("train", scenario.domain, "OUTCOMES") or {}
+    told = not episode.success and has_expert(policy) and episode.scenario in outcomes
+    return {"note": outcomes[episode.scenario]} if told else {}
+
+
+def _summarize(episode: Any, scenario: Scenario, suite: str) -> dict[str, Any]:
     import numpy as np
 
     ms = episode.solve_seconds * 1e3
@@ -143,6 +163,7 @@ def _summarize(episode: Any, suite: str) -> dict[str, Any]:
     quantiles = {name: round(float(np.quantile(ms, q)), 4) for name, q in names.items()} if len(ms) else None
     return {
         "scenario": episode.scenario,
+        "domain": scenario.domain,
         "suite": suite,
         "policy": episode.policy,
         "seed": episode.seed,
@@ -165,5 +186,5 @@ def _summarize(episode: Any, suite: str) -> dict[str, Any]:
         "fallbacks": dict(episode.fallbacks),
         "replans": episode.replans,
         "reoptimised": dict(episode.reoptimised),
-        "wall_seconds": episode.wall_seconds,
+        "episode_seconds": episode.wall_seconds,
     }

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import OmitArgPrefixes
 
 from train.arguments import Args
+from train.cli.progress import say_written
 
 
 @dataclass
 class Command:
     """Train a residual on top of the expert."""
 
+    extras: ClassVar[tuple[str, ...]] = ("plan", "learn")
     args: OmitArgPrefixes[Args] = field(default_factory=Args)
     json: bool = False
 
@@ -21,4 +23,6 @@ class Command:
         """Return steps, folder, time and the tuning evaluation."""
         from train.residual import main
 
-        return main(self.args)
+        result = main(self.args)
+        say_written(result["out"])
+        return result

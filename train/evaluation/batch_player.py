@@ -21,6 +21,7 @@ from impact_envs.stream import draw_doubles, seed_streams
 from planners import list_variants, make_expert_batch, make_oracle_batch
 from train.evaluation.case import Case
 from train.evaluation.metrics import METRICS
+from train.evaluation.own_policy import is_own
 from train.evaluation.player import Job, Outcome, checkpoint_directory
 
 # Episodes that are played together, and lost together when a run is interrupted.
@@ -125,14 +126,14 @@ def make_batch_policy(name: str, case: Case, count: int, threads: int, action_sh
     """Make a policy of many worlds from its name.
 
     Args:
-        name: as `player.make_policy` takes it, but ``random``.
+        name: as `player.make_policy` takes it, but neither ``random`` nor a user's own.
         case: where it is judged.
         count: of worlds.
         threads: that share the worlds.
         action_shape: of one world.
 
     Raises:
-        InputError: ``random``, an unknown name, a checkpoint that does not fit, or an expert that knows one world only.
+        InputError: a policy of single worlds, an unknown name, a checkpoint that does not fit, or an expert that knows one world only.
         PlanningError: the expert found no plan.
     """
     scenario, options = case.scenario, case.options or None
@@ -163,8 +164,8 @@ def check_batched(policy: str) -> None:
     Raises:
         InputError: it does.
     """
-    if policy == "random":
-        raise InputError("policy 'random' plays one world at a time: leave it out, or --batched")
+    if policy == "random" or is_own(policy):
+        raise InputError(f"policy '{policy}' plays one world at a time: leave it out, or --batched")
 
 
 def play_batched(cases: Sequence[Case], jobs: Sequence[Job], threads: int = 1) -> Generator[Outcome]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +12,7 @@ from impact_envs.domain import find_part
 from impact_envs.errors import InputError, choices
 from impact_envs.scenario import Scenario, load_scenario
 from planners import check_options, check_oracle, check_planned, list_variants
+from train.evaluation.own_policy import is_own
 
 if TYPE_CHECKING:
     from planners.plan import Plan
@@ -87,9 +89,16 @@ def check_names(kind: str, names: Sequence[str]) -> None:
             raise InputError(f"{kind} '{name}' is given twice; {choices('', sorted(set(names)))}")
 
 
+def list_changes(scenario: Scenario, suite: str) -> dict[str, Any]:
+    """Return what a suite changes: dotted keys of the scenario to values or ranges."""
+    shipped = tomllib.loads(scenario.suite_file.read_text()) if scenario.suite_file else {}
+    changes: dict[str, Any] = {**shipped, **scenario.suites}.get(suite, {})
+    return changes
+
+
 def has_expert(policy: str) -> bool:
     """Return whether a policy of this name has an expert, and so options and mostly a plan."""
-    return policy not in ("zero", "random")
+    return policy not in ("zero", "random") and not is_own(policy)
 
 
 def check_settings(case: Case, policies: Sequence[str]) -> None:
@@ -128,4 +137,4 @@ def check_plan(case: Case, policies: Sequence[str]) -> None:
 
 def is_built_in(policy: str, scenario: Scenario) -> bool:
     """Return whether a policy of this name needs no checkpoint in a scenario."""
-    return policy in (*BUILT_IN, *list_variants(scenario))
+    return is_own(policy) or policy in (*BUILT_IN, *list_variants(scenario))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import pickle
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,11 +31,13 @@ from train.evaluation.case import (
     check_settings,
     has_expert,
     is_built_in,
+    list_changes,
     make_cases,
 )
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import Journal, digest, row_key, write_json
 from train.evaluation.metrics import compare_metrics, summarize
+from train.evaluation.own_policy import Factory, OwnPolicy, announce, digest_code, is_own, read_policies
 from train.evaluation.player import Job, checkpoint_directory, play
 from train.evaluation.statistics import compare
 from train.evaluation.workers import end_on_sigterm
@@ -77,7 +80,7 @@ class EvaluationResult:
 
 def evaluate(
     scenarios: Sequence[str | Path | Scenario],
-    policies: Sequence[str] = ("expert", "zero"),
+    policies: Sequence[str] | Mapping[str, Factory | str] = ("expert", "zero"),
     episodes: int = 20,
     seed: int = EVALUATION_SEEDS,
     suites: Sequence[str] = ("nominal",),
@@ -93,7 +96,8 @@ def evaluate(
 
     Args:
         scenarios: shipped names, paths of TOML files, or Scenarios.
-        policies: names as player.make_policy takes them; in a pair the later one is compared with the earlier.
+        policies: names as player.make_policy takes them, or label to a function that makes a policy of the scenario,
+            such as ``{"expert": "expert", "mine": make_mine}``; in a pair the later is compared with the earlier.
         episodes: seeds per scenario, suite and policy.
         seed: first seed; the others follow.
         suites: mismatch suites of the true world.
@@ -116,7 +120,7 @@ def evaluate(
 
 def evaluate_cases(
     cases: Sequence[Case],
-    policies: Sequence[str],
+    policies: Sequence[str] | Mapping[str, Factory | str],
     episodes: int = 20,
     seed: int = EVALUATION_SEEDS,
     workers: int = 1,
@@ -128,7 +132,7 @@ def evaluate_cases(
 
     Args:
         cases: worlds to be judged in.
-        policies: names as player.make_policy takes them.
+        policies: names as player.make_policy takes them, or label to what makes one.
         episodes: seeds per case and policy.
         seed: first seed; the others follow.
         workers: processes; 1 plays in this one.
@@ -143,7 +147,9 @@ def evaluate_cases(
         WorkerLost: an episode ended its worker process twice.
     """
     start = time.perf_counter()
-    labels = [str(policy).rstrip("/") or str(policy) for policy in policies]
+    if out is not None:
+        import pyarrow  # noqa: F401  # that it is missing must not be found out after everything was played
+    labels = read_policies(policies)
     _check_request(cases, labels, episodes, seed, workers)
     for label in labels if batched else ():
         check_batched(label)
@@ -203,6 +209,21 @@ def _check_request(cases: Sequence[Case], labels: Sequence[str], episodes: int, 
     for case in cases:
         check_settings(case, labels)
         check_plan(case, labels)
+    announce(labels)
+    if workers > 1:
+        _check_sendable(labels)
+
+
+def _check_sendable(labels: Sequence[str]) -> None:
+    for label in labels:
+        if isinstance(label, OwnPolicy):
+            try:
+                pickle.dumps(label)
+            except (pickle.PicklingError, AttributeError, TypeError) as error:
+                raise InputError(
+                    f"policy '{label}': cannot be sent to other processes ({error}); use one worker, or a function of "
+                    "a module"
+                ) from None
 
 
 def _check_checkpoint(label: str, variants: Sequence[str]) -> None:
@@ -225,7 +246,9 @@ def _digests(cases: Sequence[Case], labels: Sequence[str]) -> dict[str, str]:
             contents.append(case.objective)
         digests[f"{case.scenario.name}/{case.suite}"] = digest(*(content.encode() for content in contents))
     for label in labels:
-        if not all(is_built_in(label, case.scenario) for case in cases):
+        if is_own(label):
+            digests[label] = digest_code(label)
+        elif not all(is_built_in(label, case.scenario) for case in cases):
             files = sorted(checkpoint_directory(label).glob("policy.*"))
             digests[label] = digest(*(file.read_bytes() for file in files))
     return digests
@@ -234,7 +257,11 @@ def _digests(cases: Sequence[Case], labels: Sequence[str]) -> dict[str, str]:
 def _describe(cases: Sequence[Case], labels: Sequence[str], episodes: int, seed: int) -> dict[str, Any]:
     fields = ("name", "domain", "description", "formula", "horizon")
     return {
-        "cases": [{key: getattr(case.scenario, key) for key in fields} | {"suite": case.suite} for case in cases],
+        "cases": [
+            {key: getattr(case.scenario, key) for key in fields}
+            | {"suite": case.suite, "changes": list_changes(case.scenario, case.suite)}
+            for case in cases
+        ],
         "policies": list(labels),
         "episodes": episodes,
         "seed": seed,

@@ -31,7 +31,7 @@ PACKAGES = (
 
 
 class JudgedCase(BaseModel):
-    """One scenario in one suite (manifest.json)."""
+    """One scenario in one suite (manifest.json); ``changes`` is None in older ones."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -40,6 +40,7 @@ class JudgedCase(BaseModel):
     description: str
     formula: str
     horizon: FiniteFloat
+    changes: dict[str, Any] | None = None
 
 
 class Manifest(BaseModel):

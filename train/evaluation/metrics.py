@@ -76,7 +76,9 @@ def _write_solve_times(row: Mapping[str, Any]) -> str:
     times = [row["solve_ms"][name] for name in ("p50", "p99", "max")]
     if times[0] is None:
         return UNKNOWN
-    return " / ".join(f"{value:.1f}" if value < 100 else f"{value:.0f}" for value in times)
+    return " / ".join(
+        f"{value:.2g}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}" for value in times
+    )
 
 
 METRICS = (

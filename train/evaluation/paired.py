@@ -33,8 +33,9 @@ class Gain:
         episodes: E.
         success_rate, expert_success_rate: of all episodes.
         robustness, expert_robustness: interquartile means [m].
-        gain: mean difference of robustness, failures cut [m].
+        gain: interquartile mean of the differences of robustness on the same seeds [m].
         error: standard error of that [m].
+        mean: mean of these differences, failures cut [m].
         scale: unit in which gains of different scenarios are averaged [m].
         correction: mean size of the corrections.
         filtered: share of them that the expert did not take whole.
@@ -47,6 +48,7 @@ class Gain:
     expert_robustness: float
     gain: float
     error: float
+    mean: float
     scale: float
     correction: float
     filtered: float
@@ -60,15 +62,17 @@ def compute_gain(played: Outcomes, expert: Outcomes, worst: float, scale: float)
         worst: a robustness below minus this counts as that [m].
         scale: see Gain [m].
     """
-    difference = np.maximum(played.robustness, -worst) - np.maximum(expert.robustness, -worst)
+    difference = played.robustness - expert.robustness
+    cut = np.maximum(played.robustness, -worst) - np.maximum(expert.robustness, -worst)
     return Gain(
         episodes=len(difference),
         success_rate=float(np.mean(played.success)),
         expert_success_rate=float(np.mean(expert.success)),
         robustness=compute_interquartile_mean(played.robustness),
         expert_robustness=compute_interquartile_mean(expert.robustness),
-        gain=float(np.mean(difference)),
-        error=float(np.std(difference, ddof=1) / np.sqrt(len(difference))),
+        gain=compute_interquartile_mean(difference),
+        error=compute_interquartile_error(difference),
+        mean=float(np.mean(cut)),
         scale=scale,
         correction=float(np.mean(np.abs(np.clip(played.corrections, -1.0, 1.0)))) if len(played.corrections) else 0.0,
         filtered=played.filtered,
@@ -106,3 +110,16 @@ def compute_interquartile_means(values: np.ndarray) -> np.ndarray:
     count = values.shape[-1]
     cut = count // 4
     return np.mean(np.sort(values, axis=-1)[..., cut : count - cut], axis=-1)
+
+
+def compute_interquartile_error(values: np.ndarray) -> float:
+    """Return the standard error of the mean of the middle half of independent values, shape (n,), n > 1.
+
+    s_w / (share sqrt(n)), s_w: standard deviation with the outer quarters moved to the ends of the middle half.
+
+    Source: Tukey & McLaughlin, "Less vulnerable confidence and significance procedures for location" (1963).
+    """
+    count, cut = len(values), len(values) // 4
+    ordered = np.sort(values)
+    moved = np.clip(ordered, ordered[cut], ordered[count - cut - 1])
+    return float(np.std(moved, ddof=1) / ((1 - 2 * cut / count) * np.sqrt(count)))

@@ -19,6 +19,7 @@ from planners.plan import Plan
 from train.evaluation.case import BUILT_IN, Case, has_expert, is_built_in
 from train.evaluation.metrics import make_row
 from train.evaluation.oracle import OraclePolicy
+from train.evaluation.own_policy import is_own, make_own
 from train.evaluation.replay import episode_to_dict
 from train.evaluation.workers import work
 
@@ -60,7 +61,7 @@ def checkpoint_directory(name: str, variants: Sequence[str] = ()) -> Path:
     if name in shipped:
         return SHIPPED / name
     known = choices(name, (*BUILT_IN, *variants, *shipped))
-    raise InputError(f"policy '{name}' is unknown; {known}, or a checkpoint directory")
+    raise InputError(f"policy '{name}' is unknown; {known}, a checkpoint directory, or MODULE:FACTORY of your own")
 
 
 def make_policy(
@@ -73,7 +74,8 @@ def make_policy(
 
     Args:
         name: ``expert``, ``oracle`` (told the truth), ``zero`` (no control), ``random`` (uniform actions), a variant of
-            the expert (see planners.list_variants), a checkpoint directory, or the name of a shipped checkpoint.
+            the expert (see planners.list_variants), a checkpoint directory, the name of a shipped checkpoint, or
+            ``module:factory`` of the user, see own_policy.
         scenario: a shipped name, the path of a TOML file, or a Scenario; experts see only its believed part.
         plan: for the expert to follow; planned now if one is needed and none is given.
         options: of the expert, see planners.make_expert; unused without one.
@@ -83,6 +85,8 @@ def make_policy(
         PlanningError: the expert found no plan.
     """
     loaded = load_scenario(scenario)
+    if is_own(name):
+        return make_own(name, loaded)
     if name == "zero":
         return ZeroPolicy(parallel_env(loaded))
     if name == "random":

@@ -35,6 +35,7 @@ class Viewer:
 
     Attributes:
         note: at the lower edge of a window.
+        path: of the film; None of a window.
 
     Raises:
         InputError: another file, a folder that is missing, or a speed that is not above zero.
@@ -53,9 +54,10 @@ class Viewer:
         self._every = max(1, round(self.speed / FPS / scenario.control_period))
         self._film: Film | None = None
         self._window: Any = None
-        if target == WINDOW:
+        self.path = None if target == WINDOW else Path(target)
+        if self.path is None:
             return
-        suffix = Path(target).suffix.lower()
+        suffix = self.path.suffix.lower()
         if suffix not in SUFFIXES:
             raise InputError(
                 f"--render {target}: {choices(target, (WINDOW, *(f'a file ending in {s}' for s in SUFFIXES)))}"

@@ -5,7 +5,7 @@
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const robotColors = ["#0072b2", "#009e73", "#9456a0", "#56b4e9"], objectColors = ["#e69f00", "#a6761d", "#f0c83c"];
   const fade = 2.0; // [s] for which a fresh impact is drawn larger
-  const state = { scenario: null, suite: null, hidden: new Set(), t: 0, playing: false, last: 0, panels: [], chart: 0 };
+  const state = { scenario: null, suite: null, hidden: new Set(), t: 0, playing: false, last: 0, panels: [] };
 
   // ---- interpolation ------------------------------------------------------------------------------------------
   function locate(times, t) { // last index with times[k] <= t, and the share of the step behind it
@@ -42,7 +42,7 @@
   function fit(panel) { // one scale for both axes; the world is centred
     const [[x0, y0], [x1, y1]] = panel.replay.world, margin = 10;
     const width = panel.canvas.clientWidth || 320;
-    const scale = Math.min((width - 2 * margin) / (x1 - x0), 520 / (y1 - y0));
+    const scale = Math.min((width - 2 * margin) / (x1 - x0), (panel.tall || Math.min(520, 0.58 * window.innerHeight)) / (y1 - y0));
     const height = Math.round(scale * (y1 - y0) + 2 * margin), ratio = window.devicePixelRatio || 1;
     panel.canvas.style.aspectRatio = `${width} / ${height}`; // keeps its shape where a printer makes it narrower
     panel.canvas.width = Math.round(width * ratio); panel.canvas.height = Math.round(height * ratio);
@@ -101,7 +101,7 @@
   function drawCurves(pen, panel, t) {
     const { view, replay, colors } = panel;
     pen.lineJoin = pen.lineCap = "round";
-    for (const [body, points] of Object.entries(replay.plan)) {
+    for (const [body, points] of Object.entries(replay.plan === null ? {} : data.plans[replay.plan].curves)) {
       pen.setLineDash([6, 5]); pen.globalAlpha = 0.6; pen.lineWidth = 1.3; pen.strokeStyle = colors[body] || css("--muted");
       trace(pen, view, points); pen.stroke();
     }
@@ -150,18 +150,21 @@
     }
     panel.canvas.dataset.pose = shown.join(" ");
   }
+  function star(pen, x, y, reach, opacity) {
+    pen.beginPath();
+    for (let k = 0; k < 10; k++) {
+      const r = k % 2 ? 0.42 * reach : reach, angle = (Math.PI * k) / 5 - Math.PI / 2;
+      pen.lineTo(x + r * Math.cos(angle), y + r * Math.sin(angle));
+    }
+    pen.closePath();
+    pen.lineWidth = 2.5; pen.strokeStyle = css("--world"); pen.stroke(); pen.fillStyle = css("--impact");
+    pen.globalAlpha = opacity; pen.fill(); pen.globalAlpha = 1;
+  }
   function drawImpacts(pen, panel, t) {
     const { view, replay } = panel, past = replay.impacts.filter((impact) => impact.time <= t + 1e-9);
     for (const impact of past) {
       const fresh = Math.max(0, 1 - (t - impact.time) / fade), reach = 5 + 6 * fresh;
-      pen.beginPath();
-      for (let k = 0; k < 10; k++) {
-        const r = k % 2 ? 0.42 * reach : reach, angle = (Math.PI * k) / 5 - Math.PI / 2;
-        pen.lineTo(view.x(impact.point[0]) + r * Math.cos(angle), view.y(impact.point[1]) + r * Math.sin(angle));
-      }
-      pen.closePath();
-      pen.lineWidth = 2.5; pen.strokeStyle = css("--world"); pen.stroke(); pen.fillStyle = css("--impact");
-      pen.globalAlpha = 0.65 + 0.35 * fresh; pen.fill(); pen.globalAlpha = 1;
+      star(pen, view.x(impact.point[0]), view.y(impact.point[1]), reach, 0.65 + 0.35 * fresh);
     }
     panel.canvas.dataset.impacts = past.length;
     return past.length;
@@ -179,40 +182,67 @@
   }
 
   // ---- robustness still possible, over time ---------------------------------------------------------------------
-  const plain = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;"); // plotly reads some tags in names
-  const rgba = (hex, alpha) => `rgba(${[1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16)).join(",")},${alpha})`;
-  function baseLayout(extra) {
-    const axis = { gridcolor: css("--line"), zeroline: false, linecolor: css("--edge"), ticks: "outside", tickcolor: css("--line") };
-    return {
-      paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: css("--ink"), family: "system-ui, sans-serif", size: 12.5 },
-      margin: { l: 64, r: 16, t: 12, b: 46 }, hovermode: "closest",
-      modebar: { bgcolor: "rgba(0,0,0,0)", color: css("--edge"), activecolor: css("--accent") }, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 },
-      ...extra, xaxis: { ...axis, ...extra.xaxis }, yaxis: { ...axis, ...extra.yaxis },
-    };
+  const isNumber = (value) => value !== null && Number.isFinite(value);
+  function spread(values, least = 0.05) { // a range with zero and some room around
+    const low = Math.min(0, ...values), high = Math.max(0, ...values), room = 0.08 * Math.max(high - low, least);
+    return [low - room, high + room];
   }
-  const zeroLine = () => ({ type: "line", xref: "paper", x0: 0, x1: 1, y0: 0, y1: 0, line: { color: css("--ink"), width: 1.2, dash: "dash" } });
-  const options = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d"] };
-  function boundTraces(replay) { // the monitor's interval as a band, the robustness with the state held as a line
-    const side = (k) => replay.bounds.map((pair) => pair[k]), color = replay.color, name = plain(replay.name);
-    const edge = { x: replay.times, mode: "lines", line: { color, width: 0.8, shape: "hv", dash: "dot" }, showlegend: false, legendgroup: replay.label };
-    const hover = (what) => ({ hovertemplate: `${what} %{y:.3f} m at %{x:.1f} s<extra>${name}</extra>` });
-    return [
-      { ...edge, ...hover("at least"), y: side(0) },
-      { ...edge, ...hover("at most"), y: side(1), fill: "tonexty", fillcolor: rgba(color, 0.09) },
-      { ...hover("if held"), x: replay.held.times, y: replay.held.robustness, name, legendgroup: replay.label, mode: "lines", line: { color, width: 2.2 } },
-    ];
-  }
-  const cursor = () => ({ type: "line", yref: "paper", x0: state.t, x1: state.t, y0: 0, y1: 1, line: { color: css("--accent"), width: 1.5 } });
-  function drawBounds() {
-    const layout = baseLayout({
-      xaxis: { title: { text: "time [s]" }, range: [0, horizon()] }, yaxis: { title: { text: "robustness [m]" } }, shapes: [zeroLine(), cursor()],
+  function drawBounds() { // the monitor's interval as a band, the robustness with the state held as a line
+    const replays = state.panels.map((panel) => panel.replay), last = (pair) => pair.filter(isNumber);
+    const seen = replays.flatMap((r) => [...r.held.robustness, ...r.bounds.map((pair) => pair[1]).filter(isNumber), ...last(r.bounds.at(-1))]);
+    const y = spread(seen.length ? seen : [1]);
+    const plot = Plot.frame(byId("bounds"), { x: [0, horizon()], y, xLabel: "time [s]", yLabel: "robustness [m]", height: 280 });
+    for (const replay of replays) {
+      const side = (k, other) => replay.bounds.map((pair) => (isNumber(pair[k]) ? pair[k] : other));
+      Plot.band(plot, replay.times, side(0, y[0]), side(1, y[1]), { class: "band", fill: replay.color, "fill-opacity": 0.1 });
+    }
+    for (const replay of replays) {
+      Plot.line(plot, replay.held.times, replay.held.robustness, { class: "held", stroke: replay.color, "stroke-width": 2.2 });
+    }
+    state.cursor = Plot.add(plot.svg, "line", { class: "cursor", y1: plot.top, y2: plot.bottom });
+    state.plot = plot;
+    plot.svg.addEventListener("pointerdown", (event) => {
+      const t = plot.invert(event.clientX - plot.svg.getBoundingClientRect().left);
+      if (t >= 0 && t <= horizon()) { seek(t); remember(); }
     });
-    return Plotly.react("bounds", state.panels.flatMap((panel) => boundTraces(panel.replay)), layout, options);
+    moveCursor();
   }
-  function moveCursor(now) { // relayout is the slow part of a picture: 12 times a second will do
-    if (!byId("bounds") || (state.playing && now - state.chart < 80)) return;
-    state.chart = now;
-    Plotly.relayout("bounds", { "shapes[1].x0": state.t, "shapes[1].x1": state.t });
+  function moveCursor() {
+    if (!state.plot) return;
+    const x = state.plot.X(state.t);
+    state.cursor.setAttribute("x1", x); state.cursor.setAttribute("x2", x);
+  }
+
+  // ---- the plan, and the policy's learning ------------------------------------------------------------------------
+  function drawPlans() {
+    for (const canvas of document.querySelectorAll("canvas.plan")) {
+      const replay = data.replays.find((r) => r.scenario === canvas.dataset.scenario && r.plan !== null);
+      canvas.hidden = canvas.nextElementSibling.hidden = !replay;
+      if (!replay) continue;
+      const panel = { replay, canvas, colors: bodyColors(replay), tall: 300 }, plan = data.plans[replay.plan];
+      fit(panel);
+      const pen = canvas.getContext("2d"), view = panel.view;
+      pen.setTransform(view.ratio, 0, 0, view.ratio, 0, 0);
+      drawWorld(pen, panel);
+      pen.lineJoin = pen.lineCap = "round";
+      for (const [body, points] of Object.entries(plan.curves)) {
+        pen.lineWidth = 2.2; pen.strokeStyle = panel.colors[body] || css("--muted"); trace(pen, view, points); pen.stroke();
+      }
+      drawBodies(pen, panel, 0);
+      plan.impacts.forEach((impact, k) => {
+        star(pen, view.x(impact.x), view.y(impact.y), 7, 1);
+        write(pen, `${k + 1}`, view.x(impact.x) + 12, view.y(impact.y) - 8, css("--impact"), "center", view.width);
+      });
+      canvas.dataset.impacts = plan.impacts.length;
+    }
+  }
+  function drawLearning() {
+    data.learning.forEach((curve, k) => {
+      const node = byId(`learning-${k}`), xs = curve.steps, y = spread([...curve.gain, ...curve.low], 0.001);
+      const plot = Plot.frame(node, { x: [0, Math.max(1, xs.at(-1))], y, xLabel: "corrections answered", yLabel: "gain over the expert [m]", height: 240 });
+      Plot.line(plot, xs, curve.low, { class: "learning", stroke: curve.color, "stroke-dasharray": "4 3" });
+      Plot.line(plot, xs, curve.gain, { class: "learning", stroke: curve.color, "stroke-width": 2 });
+    });
   }
 
   // ---- choosing and playing -------------------------------------------------------------------------------------
@@ -252,14 +282,25 @@
     byId("time").max = horizon(); byId("panels").replaceChildren();
     state.panels = chosen().filter((replay) => !state.hidden.has(replay.label)).map(makePanel);
     state.panels.forEach(fit);
+    drawTicks();
     seek(Math.min(state.t, horizon()));
-    return drawBounds();
+    drawBounds();
+  }
+  function drawTicks() { // impacts under the slider, whose knob stays 8 pixels inside its ends
+    byId("ticks").replaceChildren(...state.panels.flatMap(({ replay }) => replay.impacts.map((impact) => {
+      const text = `impact at ${impact.time.toFixed(1)} s (${replay.name})`;
+      const tick = element("button", { type: "button", title: text }), share = impact.time / horizon();
+      tick.setAttribute("aria-label", text);
+      tick.style.left = `calc(8px + ${share} * (100% - 16px))`; tick.style.background = replay.color;
+      tick.onclick = () => { seek(impact.time); remember(); };
+      return tick;
+    })));
   }
   function seek(t) {
     state.t = Math.min(Math.max(0, t), horizon());
     byId("time").value = state.t;
     byId("clock").textContent = `${state.t.toFixed(1)} / ${horizon().toFixed(1)} s`;
-    state.panels.forEach(drawPanel);
+    state.panels.forEach(drawPanel); moveCursor();
   }
   function remember() {
     const hash = new URLSearchParams({ scenario: state.scenario, suite: state.suite, t: state.t.toFixed(2) });
@@ -268,58 +309,56 @@
   function readHash() {
     const hash = new URLSearchParams(location.hash.slice(1)), t = parseFloat(hash.get("t"));
     const names = unique(data.replays.map((r) => r.scenario)), name = hash.get("scenario");
-    state.t = Number.isFinite(t) ? Math.max(0, t) : Infinity; // without a wish: the end, where the whole path shows
-    return choose(names.includes(name) ? name : names[0], hash.get("suite"));
+    state.t = Number.isFinite(t) ? Math.max(0, t) : 0;
+    choose(names.includes(name) ? name : names[0], hash.get("suite"));
   }
   function play(on) {
     state.playing = on; byId("play").textContent = on ? "Pause" : "Play";
-    if (!on) { remember(); moveCursor(Infinity); return; }
+    if (!on) { remember(); return; }
     if (state.t >= horizon() - 1e-9) seek(0);
     state.last = performance.now(); requestAnimationFrame(tick);
   }
   function tick(now) {
     if (!state.playing) return;
     seek(state.t + (Math.max(0, now - state.last) / 1000) * Number(byId("speed").value));
-    state.last = now; moveCursor(now);
+    state.last = now;
     if (state.t >= horizon()) play(false); else requestAnimationFrame(tick);
   }
   function startReplay() {
-    if (!data.replays.length) return Promise.resolve();
-    byId("scenario").onchange = (event) => { choose(event.target.value, state.suite); remember(); };
+    if (!data.replays.length) return;
+    byId("scenario").onchange = (event) => { play(false); state.t = 0; choose(event.target.value, state.suite); remember(); };
     byId("suite").onchange = (event) => { choose(state.scenario, event.target.value); remember(); };
-    byId("time").oninput = (event) => { seek(Number(event.target.value)); moveCursor(performance.now()); };
+    byId("time").oninput = (event) => seek(Number(event.target.value));
     byId("time").onchange = remember;
     byId("play").onclick = () => play(!state.playing);
     window.addEventListener("hashchange", readHash);
-    window.addEventListener("resize", () => { state.panels.forEach(fit); state.panels.forEach(drawPanel); });
-    return readHash().then(() => {
-      byId("bounds").on("plotly_click", (event) => { seek(event.points[0].x); moveCursor(performance.now()); remember(); });
-    });
+    readHash();
   }
 
   // ---- distributions ----------------------------------------------------------------------------------------------
   function drawDistribution(block, k) {
-    const traces = data.policies.map((policy) => {
-      const cells = block.cells.filter((cell) => cell.policy === policy.label);
-      return {
-        type: "box", name: plain(policy.name), x: cells.flatMap((c) => c.robustness.map(() => c.suite)), y: cells.flatMap((c) => c.robustness),
-        text: cells.flatMap((c) => c.seed.map((seed) => `seed ${seed}`)), hovertemplate: "%{y:.3f} m, %{text}<extra>%{fullData.name}</extra>",
-        boxpoints: "all", jitter: 0.5, pointpos: 0, marker: { color: policy.color, size: 4.5, opacity: 0.55 },
-        line: { color: policy.color, width: 1.4 }, fillcolor: rgba(policy.color, 0.1), hoveron: "points",
-      };
-    });
-    const layout = baseLayout({ boxmode: "group", yaxis: { title: { text: "robustness [m]" } }, shapes: [zeroLine()] });
-    return Plotly.react(`distribution-${k}`, traces, layout, options);
-  }
-  function zoomDistributions(near) {
-    data.distributions.forEach((block, k) => {
-      const best = Math.max(...block.cells.flatMap((c) => c.robustness)), reach = 1.25 * Math.max(best, 0.05);
-      Plotly.relayout(`distribution-${k}`, near ? { "yaxis.range": [-reach, reach] } : { "yaxis.autorange": true });
+    const suites = unique(block.cells.map((cell) => cell.suite)), near = byId("near").checked;
+    const all = block.cells.flatMap((cell) => cell.robustness), best = 1.25 * Math.max(0.05, ...all);
+    const plot = Plot.frame(byId(`distribution-${k}`), { x: suites, y: near ? [-best, best] : spread(all), yLabel: "robustness [m]" });
+    const count = data.policies.length, half = Math.min(26, (0.36 * (plot.X(1) - plot.X(0))) / count);
+    data.policies.forEach((policy, place) => {
+      for (const cell of block.cells.filter((one) => one.policy === policy.label)) {
+        const texts = cell.robustness.map((value, n) => `${policy.name}, seed ${cell.seed[n]}: ${signed(value)} m`);
+        Plot.box(plot, plot.X(suites.indexOf(cell.suite), (place + 0.5 + (count - 1) * 0.1) / (count * 1.2)), half, cell.robustness, texts, policy.color);
+      }
     });
   }
 
-  function drawAll() { return Promise.all([startReplay(), ...data.distributions.map(drawDistribution)]); }
-  byId("near").onchange = (event) => zoomDistributions(event.target.checked);
+  function drawStill() { data.distributions.forEach(drawDistribution); drawPlans(); drawLearning(); }
+  function drawAll() { startReplay(); drawStill(); }
+  byId("near").onchange = () => data.distributions.forEach(drawDistribution);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
-  drawAll().then(() => { document.body.dataset.ready = "true"; }, (error) => { document.body.dataset.error = String(error); throw error; });
+  let width = window.innerWidth;
+  window.addEventListener("resize", () => {
+    if (window.innerWidth === width) return; // a telephone's address bar comes and goes
+    width = window.innerWidth; state.panels.forEach(fit); state.panels.forEach(drawPanel); drawStill();
+    if (data.replays.length) drawBounds();
+  });
+  Plot.explain(document.body);
+  try { drawAll(); document.body.dataset.ready = "true"; } catch (error) { document.body.dataset.error = String(error); throw error; }
 })();

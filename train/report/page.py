@@ -19,20 +19,22 @@ from impact_envs.stl import Trace, parse, robustness
 from planners.plan import Plan
 from train.evaluation.journal import JudgedCase
 from train.evaluation.results import Evaluation, Replay, read_evaluation
+from train.report.learning import collect_learning, write_learning
+from train.report.suites import write_suites
 from train.report.tables import Look, write_differences, write_results
 
 # Okabe & Ito, "Color Universal Design" (2008), in the order of the policies.
 POLICY_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#7f7f7f")
-SAMPLES_PER_REPLAY, SAMPLES_IN_ALL = 1500, 60_000
-PLAN_SAMPLES = 201
+# A page of all scenarios stays below 2 MB: a number takes about 7 bytes.
+SAMPLES_PER_REPLAY, FEWEST_SAMPLES, NUMBERS_IN_ALL = 1500, 60, 140_000
+PLAN_SAMPLES = 101
 HELD_SAMPLES = 101
 
 
 def write_report(directory: str | Path) -> Path:
     """Write report.html into an evaluation's directory.
 
-    The page holds its style, scripts (plotly.js among them) and data, so it opens from the file system and needs no
-    network.
+    The page holds its style, scripts and data, so it opens from the file system and needs no network.
 
     Args:
         directory: what an evaluation wrote.
@@ -43,10 +45,9 @@ def write_report(directory: str | Path) -> Path:
     Raises:
         InputError: the directory or one of its files is missing, or does not hold an evaluation.
     """
-    from plotly.offline import get_plotlyjs
-
     evaluation = read_evaluation(directory)
     looks = choose_looks(evaluation.manifest.policies)
+    data = collect_data(evaluation, looks)
     source = files("train.report")
     page = Template(source.joinpath("page.html").read_text(encoding="utf-8")).substitute(
         **_write_heading(evaluation, looks),
@@ -59,8 +60,10 @@ def write_report(directory: str | Path) -> Path:
         versions=escape(", ".join(f"{name} {number}" for name, number in evaluation.manifest.versions.items())),
         style=source.joinpath("page.css").read_text(encoding="utf-8"),
         script=source.joinpath("page.js").read_text(encoding="utf-8"),
-        plotly=get_plotlyjs(),
-        data=_inline(collect_data(evaluation, looks)),
+        plot=source.joinpath("plot.js").read_text(encoding="utf-8"),
+        suites=write_suites(evaluation.manifest.cases),
+        learning=write_learning(data["learning"]),
+        data=_inline(data),
     )
     path = Path(directory) / "report.html"
     write_atomically(path, page.encode())
@@ -92,7 +95,7 @@ def collect_data(evaluation: Evaluation, looks: dict[str, Look]) -> dict[str, An
         looks: name and colour of every policy.
 
     Returns:
-        ``policies``, ``distributions`` (one per scenario) and ``replays``.
+        ``policies``, ``distributions`` (one per scenario), ``replays``, ``plans`` that they point to, and ``learning``.
     """
     cells = [
         {
@@ -103,14 +106,24 @@ def collect_data(evaluation: Evaluation, looks: dict[str, Look]) -> dict[str, An
         }
         for (scenario, suite, policy), group in evaluation.episodes.groupby(["scenario", "suite", "policy"], sort=False)
     ]
-    limit = min(SAMPLES_PER_REPLAY, max(200, SAMPLES_IN_ALL // max(1, len(evaluation.replays))))
+    each = NUMBERS_IN_ALL / max(1, len(evaluation.replays))
+    plans: list[dict[str, Any]] = []
+    replays = []
+    for replay in evaluation.replays:
+        limit = int(np.clip(each / (3 * len(replay.bodies) + 3), FEWEST_SAMPLES, SAMPLES_PER_REPLAY))
+        thin = thin_replay(replay, looks[replay.policy], limit)
+        if thin["plan"] not in (None, *plans):
+            plans.append(thin["plan"])
+        replays.append(thin | {"plan": None if thin["plan"] is None else plans.index(thin["plan"])})
     return {
         "policies": [{"label": label, "name": look.name, "color": look.color} for label, look in looks.items()],
         "distributions": [
             {"scenario": name, "cells": [cell for cell in cells if cell["scenario"] == name]}
             for name in dict.fromkeys(cell["scenario"] for cell in cells)
         ],
-        "replays": [thin_replay(replay, looks[replay.policy], limit) for replay in evaluation.replays],
+        "replays": replays,
+        "plans": plans,
+        "learning": collect_learning(looks),
     }
 
 
@@ -182,15 +195,18 @@ def compute_held_robustness(replay: Replay) -> dict[str, list[float]]:
     return {"times": np.asarray(replay.times)[at].tolist(), "robustness": np.round(rho, 5).tolist()}
 
 
-def _sample_plan(plan: Plan | None) -> dict[str, list[list[float]]]:
+def _sample_plan(plan: Plan | None) -> dict[str, Any] | None:
+    """Return a plan's curves, shape (n, 2) each, and where its impacts are."""
     if plan is None:
-        return {}
-    return {
+        return None
+    curves = {
         body: np.round(
-            curve.position(np.union1d(np.linspace(0.0, plan.horizon, PLAN_SAMPLES), curve.times)), 4
+            curve.position(np.union1d(np.linspace(0.0, plan.horizon, PLAN_SAMPLES), curve.times)), 3
         ).tolist()
         for body, curve in (plan.robots | plan.objects).items()
     }
+    places = [np.round(impact.position, 3).tolist() for impact in plan.impacts]
+    return {"curves": curves, "impacts": [{"x": x, "y": y} for x, y in places]}
 
 
 def _inline(value: Any) -> str:
@@ -232,7 +248,10 @@ def _write_task(cases: list[JudgedCase]) -> str:
     return (
         f'<div class="task"><h3>{escape(case.name)}</h3><p>{escape(case.description)}</p>'
         f"<code>{escape(case.formula)}</code>"
-        f'<p class="note">Horizon {case.horizon:g} s · suites: {escape(suites)}</p></div>'
+        f'<p class="note">Horizon {case.horizon:g} s · suites: {escape(suites)}</p>'
+        f'<canvas class="plan" data-scenario="{escape(case.name)}" role="img" '
+        f'aria-label="Plan of {escape(case.name)}"></canvas>'
+        f'<p class="note">The plan: where bodies go, and its impacts (stars) in their order.</p></div>'
     )
 
 

@@ -1,4 +1,4 @@
-"""Processes that plan what is left of tasks, beside the loop that asks: `python -m` this module is one of them.
+"""Processes that plan what is left of tasks, beside the loop that asks: this module, run as a program, is one of them.
 
 An answer is a function of its question alone: the work of planning is limited, not its time. So which process answers,
 and when, changes nothing; a question whose process came to grief is asked again.
@@ -16,6 +16,7 @@ import threading
 import weakref
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, TextIO, cast
 
 from impact_envs.errors import InputError
@@ -24,6 +25,12 @@ from planners.budget import Work
 from planners.errors import OutOfWork, PlanningError
 from planners.free_flyer.nominal.remaining import plan_rest
 
+# Not `python -m`: a folder `planners` in the user's working folder would be taken for ours.
+_PROGRAM = f"""
+import runpy, sys
+sys.path.insert(0, {str(Path(__file__).resolve().parents[3])!r})
+runpy.run_module({__name__!r}, run_name="__main__")
+"""
 ATTEMPTS = 2  # processes that a question may bring to grief
 
 
@@ -124,7 +131,7 @@ class PlanningProcesses:
         if least is not None and (not least.asked or len(self._workers) >= self._most):
             return least
         process = subprocess.Popen(
-            [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [sys.executable, "-c", _PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         thread = threading.Thread(target=_forward, args=(process.stdout, lines), daemon=True)

@@ -231,6 +231,7 @@ class _Climber:
             part = Budget(budget.left * share)
             optimum = search(task, self.max_impacts, part, options)
             self.rho = optimum.rho
+            budget.news = f"robustness {optimum.rho:.4g} m of at most {optimum.bound:.4g} m"
             quick = quicken_legs(task, optimum, search, part, options)
         if quick is not None:
             try:

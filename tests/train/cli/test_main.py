@@ -42,7 +42,7 @@ def test_plan_of_the_corridor_is_proven(capsys, tmp_path):
     assert plan["validated"]
     assert [hit["robot"] for hit in plan["impacts"]] == ["snap", "crackle"]
     assert json.loads(out.read_text())["scenario"] == "corridor"
-    assert sorted(path.name for path in csv.iterdir()) == ["crackle.csv", "pop.csv", "snap.csv"]
+    assert sorted(path.name for path in csv.iterdir()) == ["crackle.csv", "plan.impacts.csv", "pop.csv", "snap.csv"]
 
 
 def test_a_stored_plan_is_run(capsys, tmp_path):

@@ -46,6 +46,21 @@ def test_unknown_robot_is_named():
         make_pilot("snapp")
 
 
+def test_run_without_a_display_shows_a_window(monkeypatch, capsys):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setattr("train.pictures.film.HOLD", 0.0)
+    arguments = ["run", "throw_and_catch", "--policy", "zero", "--render", "human", "--speed", "60", "--json"]
+    assert main(arguments) == 0
+    assert not json.loads(capsys.readouterr().out.splitlines()[-1])["success"]
+
+
+def test_a_film_is_named_when_it_is_written(capsys, tmp_path):
+    path = tmp_path / "film.gif"
+    assert main(["run", "throw_and_catch", "--policy", "zero", "--render", str(path), "--speed", "60"]) == 0
+    assert f"wrote {path}" in "".join(capsys.readouterr())
+    assert path.stat().st_size > 10_000
+
+
 def test_play_without_a_display_flies_and_says_the_robustness(monkeypatch, capsys):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setattr("train.pictures.film.HOLD", 0.0)

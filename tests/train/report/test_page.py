@@ -1,7 +1,9 @@
+import base64
 import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,13 +14,16 @@ import pytest
 from impact_envs.errors import InputError
 from planners.bezier import Curve
 from planners.plan import Plan
+from train.evaluation.journal import JudgedCase
 from train.evaluation.metric import signed
 from train.evaluation.metrics import summarize
 from train.evaluation.replay import describe_plan
-from train.evaluation.results import Difference
+from train.evaluation.results import Difference, Replay
 from train.evaluation.statistics import compare
 from train.report import page as page_module
+from train.report.learning import collect_learning, write_learning
 from train.report.page import choose_looks, write_report
+from train.report.suites import write_suites
 from train.report.tables import write_differences
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -181,11 +186,11 @@ def read(page):
 def test_page_loads_nothing(page, read):
     assert read.loads == []
     assert "link" not in read.tags and "img" not in read.tags and "iframe" not in read.tags
-    assert page.stat().st_size < 8e6
+    assert page.stat().st_size < 2e6
 
 
 def test_hostile_names_stay_text(read):
-    assert read.tags.count("script") == 3  # data, plotly.js, the page's own
+    assert read.tags.count("script") == 3  # data, plots, the page's own
     template = Path(page_module.__file__).with_suffix(".html").read_text(encoding="utf-8")
     assert read.tags.count("b") == template.count("<b>")  # none from a name
     data = json.loads(read.data)
@@ -195,6 +200,7 @@ def test_hostile_names_stay_text(read):
 def test_table_says_what_the_summary_says(evaluation, read):
     summary = json.loads((evaluation / "summary.json").read_text())
     head, *cells = [row for row in read.rows["results-table"] if len(row) > 1]
+    fallbacks = next(index for index, title in enumerate(head) if title.startswith("Fallbacks"))
     solved = next(index for index, title in enumerate(head) if title.startswith("Solve time"))
     assert len(cells) == len(summary["rows"]) == 6
     for cell, row in zip(cells, summary["rows"], strict=True):
@@ -206,13 +212,16 @@ def test_table_says_what_the_summary_says(evaluation, read):
         expected = [row["robustness_median"], *row["robustness_ci"], row["robustness_q05"]]
         assert numbers == pytest.approx(expected, abs=5.1e-4)
         assert (cell[solved] == "–") == (row["solve_ms"]["p50"] is None)
-        assert float(cell[8]) == pytest.approx(row["fallbacks_per_episode"], abs=0.051)
+        number, kinds = re.match(r"([\d.]+)(.*)", cell[fallbacks]).groups()
+        assert float(number) == pytest.approx(row["fallbacks_per_episode"], abs=0.051)
+        assert kinds == (", ".join(f"{kind}: {count}" for kind, count in row["fallbacks"].items()) or "none")
 
 
 def test_paired_table_says_what_the_summary_says(evaluation, read):
-    paired = json.loads((evaluation / "summary.json").read_text())["paired"]
+    everything = json.loads((evaluation / "summary.json").read_text())["paired"]
+    paired = [pair for pair in everything if "zero" not in (pair["a"], pair["b"])]  # which nobody doubts
     cells = [row for row in read.rows["paired-table"][1:] if len(row) > 1]
-    assert len(cells) == len(paired) == 6
+    assert len(cells) == len(paired) == 2 and len(everything) == 6
     for cell, pair in zip(cells, paired, strict=True):
         assert _number(cell[1]) == pytest.approx(pair["difference_median"], abs=5.1e-4)
         assert sum(map(int, cell[4].split("/"))) == pair["episodes"]
@@ -260,7 +269,9 @@ def test_thinning_keeps_ends_and_impacts(evaluation, read, monkeypatch):
     # Linear between its kinks, so the thinned path is the whole path.
     y = np.interp(full["times"], thin["times"], thin["tracks"]["puck"]["y"])
     assert y == pytest.approx(full["tracks"]["puck"]["y"], abs=6e-3)
-    assert thin["plan"]["puck"][-1] == pytest.approx([0.5, 2.25])
+    plans = json.loads(read.data)["plans"]
+    assert len(plans) == 1 and thin["plan"] == 0  # the same one for every policy and suite
+    assert plans[0]["curves"]["puck"][-1] == pytest.approx([0.5, 2.25])
 
 
 def test_held_robustness_ends_at_the_robustness_reached(read):
@@ -355,9 +366,10 @@ def test_browser_shows_the_asked_instant(page, tmp_path):
     assert _pose(still)["puck"] == (0.5, 1.5)
     assert (thrown["impacts"], still["impacts"]) == ("1", "0")
     assert thrown["bounds"] == "-1,0.25"
-    # A box trace per policy, and three traces over time per replay (two bounds, state held), are really drawn.
-    assert document.count('class="trace boxes"') == 3
-    assert document.count('class="trace scatter') == 9
+    # A box per policy and suite, and a band and a line over time per replay, are really drawn.
+    assert document.count('class="boxes"') == 6
+    assert document.count('class="band"') == document.count('class="held"') == 3
+    assert document.count("<circle cx") >= 6 * EPISODES
     assert "<title>hacked" not in document
 
 
@@ -384,11 +396,113 @@ def test_slider_and_choices_move_the_picture(page, tmp_path):
     copy = tmp_path / "driven.html"
     copy.write_text(steps.join(page.read_text(encoding="utf-8").rsplit("</body>", 1)), encoding="utf-8")
     document = _browse(copy, tmp_path)
-    at_end, at_8, fewer, other, played = json.loads(re.search(r'<pre id="seen">(.*?)</pre>', document)[1])
-    assert (len(at_end), len(at_8), len(fewer), len(other)) == (3, 3, 2, 2)
-    assert "puck:0.500,2.250" in at_end[0]
+    at_start, at_8, fewer, other, played = json.loads(re.search(r'<pre id="seen">(.*?)</pre>', document)[1])
+    assert (len(at_start), len(at_8), len(fewer), len(other)) == (3, 3, 2, 2)
+    assert "puck:0.500,1.500" in at_start[0]
     assert f"puck:0.500,{1.5 + 0.75 * 3 / 15:.3f}" in at_8[0]
-    assert at_8[1] == at_end[1]  # the zero policy stays where it was
+    assert at_8[1] == at_start[1]  # the zero policy stays where it was
     assert fewer == at_8[1:]
     assert re.search(r'data-hash="#scenario=throw&amp;suite=restitution&amp;t=8.00"', document)
     assert 8 < played <= HORIZON  # the browser's clock is virtual here, so how far is left open
+
+
+MEASURE = """
+<iframe id="page" style="width:WIDTHpx;height:800px;border:0"></iframe>
+<script>
+const frame = document.getElementById("page"), text = atob("PAGE");
+frame.srcdoc = new TextDecoder().decode(Uint8Array.from(text, (letter) => letter.charCodeAt(0)));
+frame.onload = () => {
+  const page = frame.contentDocument, view = frame.contentWindow, seen = {};
+  const box = (node) => node.getBoundingClientRect();
+  page.getElementById("panels").scrollIntoView({ block: "start" });
+  const play = box(page.getElementById("play")), canvas = box(page.querySelector("canvas[data-policy]"));
+  seen.play = [play.left, play.top, play.right, play.bottom];
+  seen.canvas = [canvas.left, canvas.top, canvas.right, canvas.bottom];
+  seen.clock = page.getElementById("clock").textContent;
+  seen.ticks = [...page.querySelectorAll("#ticks button")].map((tick) => box(tick).left + box(tick).width / 2);
+  const track = box(page.getElementById("time"));
+  seen.track = [track.left, track.right];
+  page.querySelector("#ticks button").click();
+  seen.sought = Number(page.getElementById("time").value);
+  seen.width = page.documentElement.scrollWidth;
+  const heads = [...page.querySelectorAll("#results-table thead th")];
+  seen.robustness = box(heads.find((head) => head.textContent.startsWith("Robustness"))).right;
+  seen.heads = [...page.querySelectorAll("th")].every((th) => th.scope);
+  seen.plan = page.querySelector("canvas.plan").dataset.impacts;
+  const dot = page.querySelector("circle[data-tip]"), at = box(dot);
+  const touch = { bubbles: true, pointerType: "touch", clientX: at.left, clientY: at.top };
+  dot.dispatchEvent(new view.PointerEvent("pointerdown", touch));
+  seen.tip = page.querySelector(".tip").textContent;
+  const kinds = page.querySelector("#results-table summary");
+  kinds.click();
+  seen.opened = kinds.parentElement.open;
+  seen.ready = page.body.dataset.ready;
+  document.body.append(Object.assign(document.createElement("pre"), { id: "seen", textContent: JSON.stringify(seen) }));
+};
+</script>"""
+
+
+@needs_browser
+@pytest.mark.parametrize("width", [1400, 400])
+def test_page_works_at_a_desk_and_on_a_telephone(page, tmp_path, width):
+    outer = tmp_path / "outer.html"
+    content = base64.b64encode(page.read_bytes()).decode()
+    outer.write_text(f"<!doctype html><body>{MEASURE.replace('WIDTH', str(width)).replace('PAGE', content)}</body>")
+    seen = json.loads(re.search(r'<pre id="seen">(.*?)</pre>', _browse(outer, tmp_path))[1])
+    assert seen["ready"] == "true" and seen["heads"]
+    assert seen["width"] <= width  # the page itself never scrolls sideways
+    assert seen["clock"].startswith("0.0 /")  # it opens at the start
+    # Play and the whole picture are in sight together.
+    for left, top, right, bottom in (seen["play"], seen["canvas"]):
+        assert 0 <= left < right <= width and 0 <= top < bottom <= 800
+    assert seen["robustness"] <= width  # the main number needs no scrolling
+    # Each impact has a tick under the slider's knob at its time, and leads there.
+    low, high = seen["track"][0] + 8, seen["track"][1] - 8
+    shares = [(place - low) / (high - low) for place in seen["ticks"]]
+    assert shares == pytest.approx(2 * [5.02 / HORIZON, CATCH / HORIZON], abs=0.01)
+    assert seen["sought"] == pytest.approx(5.02, abs=0.01)
+    assert seen["plan"] == "0"  # this plan has curves and no impacts
+    # By touch: a dot says its seed, fallbacks their kinds.
+    assert "seed 20000" in seen["tip"] and seen["opened"]
+
+
+def test_suites_are_defined_on_the_page():
+    base = {"description": "", "formula": "", "horizon": 1.0}
+    changes = {"true.friction": {"uniform": [0.0, 0.5]}, "horizon_scale": 0.6}
+    cases = [
+        JudgedCase(name="a", suite="nominal", changes={}, **base),
+        JudgedCase(name="a", suite="hard", changes=changes, **base),
+        JudgedCase(name="b", suite="hard", changes=changes, **base),
+        JudgedCase(name="b", suite="old", **base),
+    ]
+    head, nominal, hard, old = _Reader(write_suites(cases)).rows["suites-table"]
+    assert head == ["Suite", "Scenarios", "The true world has"]
+    assert nominal == ["nominal", "a", "what is believed, and no disturbance"]
+    assert hard == ["hard", "a, b", "friction 0 to 0.5; horizon_scale 0.6"]
+    assert "not kept" in old[2]
+
+
+def test_learning_curve_is_read_from_the_training_run(tmp_path):
+    looks = choose_looks([str(tmp_path / "run"), "expert"])
+    assert collect_learning(looks) == [] and "no policy here" in write_learning([]).lower()
+    folder = tmp_path / "run" / "checkpoints" / "7"
+    folder.mkdir(parents=True)
+    points = [{"steps": 100 * k, "gain": 0.01 * k, "low": -0.01, "success_rate": 1.0} for k in range(3)]
+    (folder / "training.json").write_text(json.dumps({"evaluations": points}))
+    (folder.parent / "8").mkdir()
+    (folder.parent / "8" / "training.json").write_text("{")  # damaged: no curve is better than none of the page
+    (curve,) = collect_learning(looks)
+    assert curve["steps"] == [0, 100, 200] and curve["gain"] == [0.0, 0.01, 0.02]
+    assert 'id="learning-0"' in write_learning([curve])
+
+
+def test_a_page_of_many_replays_stays_small(evaluation, monkeypatch, tmp_path):
+    """84 replays, as of 14 scenarios, 2 suites and 3 policies, each of 6,000 samples."""
+    one = _replay("nominal", "expert", True)
+    copies = []
+    for k in range(84):
+        copies.append(one | {"scenario": f"throw{k // 6}", "suite": ("nominal", "restitution")[k % 2]})
+    read = page_module.read_evaluation(evaluation)
+    many = tuple(Replay.model_validate(copy) for copy in copies)
+    monkeypatch.setattr(page_module, "read_evaluation", lambda directory: replace(read, replays=many))
+    assert write_report(tmp_path).stat().st_size < 2e6

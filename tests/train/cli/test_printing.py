@@ -1,0 +1,106 @@
+"""What a person reads: units, four digits, no brackets of Python; files are named; a closed pipe is no fault."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+
+import impact_envs
+from planners.budget import Budget, watch_planning
+from train.cli.main import main
+
+
+def say(capsys, *arguments):
+    assert main(arguments) == 0
+    return capsys.readouterr()
+
+
+def value_of(text, name):
+    return re.search(rf"^{re.escape(name)}  +(.*)$", text, re.M)[1]
+
+
+def test_an_episode_is_told_with_units_and_four_digits(capsys):
+    said = say(capsys, "run", "throw_and_catch", "--set", "true.restitution=0.5").out
+    assert re.fullmatch(r"0\.\d{2,4} m", value_of(said, "robustness"))
+    assert value_of(said, "formula satisfied") == "yes"
+    assert value_of(said, "effort, sum of |force| dt").endswith(" N s")
+    assert value_of(said, "changed values") == "true.restitution 0.5"
+    assert value_of(said, "fallbacks") == "none"
+    assert value_of(said, "you waited").endswith(" s")
+    assert not re.search(r"[{}]|\d\.\d{6}", said)
+    assert "impulse [N s]" in said
+    assert "time [s]" in said
+
+
+def test_a_plan_has_another_name_for_what_is_another_quantity(capsys):
+    said = say(capsys, "plan", "throw_and_catch").out
+    assert value_of(said, "path cost, sum of displacement² / duration").endswith(" m²/s")
+    assert "effort, sum" not in said
+    assert "centre of object [m]" in said
+    assert not re.search(r"[{}]|\d\.\d{6}", said)
+
+
+def test_arms_spend_torque(capsys):
+    said = say(capsys, "run", "dual_arm_grasp", "--policy", "zero").out
+    assert value_of(said, "effort, sum of |force| dt") == "0 N m s"
+    assert value_of(said, "box error").endswith(" m")
+
+
+@pytest.mark.parametrize(("name", "policy", "told"), [("passive", "expert", True), ("passive", "zero", False)])
+def test_the_published_outcome_is_explained(capsys, name, policy, told):
+    said = say(capsys, "run", f"floating_manipulator_{name}", "--policy", policy).out
+    assert value_of(said, "formula satisfied") == "no"
+    assert ("published outcome" in said) is told
+
+
+def test_every_file_is_named(capsys, tmp_path):
+    plan, table = tmp_path / "plan.json", tmp_path / "flight.csv"
+    said = say(capsys, "plan", "throw_and_catch", "--out", str(plan), "--json").err
+    assert said.splitlines() == [f"wrote {plan}"]
+    said = say(capsys, "run", "throw_and_catch", "--plan", str(plan), "--save", str(table), "--json").err
+    assert f"wrote {table}" in said.splitlines()
+    assert all(path.is_file() for path in map(type(plan), re.findall(r"wrote (.*)", said)))
+
+
+def test_list_describes(capsys):
+    said = say(capsys, "list").out
+    for name in impact_envs.list_scenarios():
+        assert name in said
+        assert impact_envs.load_scenario(name).description in said
+        assert impact_envs.gym_id(name) in said
+
+
+def test_version(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(("--version",))
+    assert not ended.value.code
+    assert capsys.readouterr().out == f"impact-envs {impact_envs.__version__}\n"
+
+
+@pytest.mark.parametrize("form", ["--json", ""])
+def test_a_closed_pipe_is_quiet(form):
+    command = f"{sys.executable} -m train.cli.main list {form} | true"
+    said = subprocess.run(["sh", "-c", command], capture_output=True, text=True)
+    assert said.stderr == ""
+
+
+def test_stages_are_told_to_who_watches():
+    told = []
+    with watch_planning(lambda budget, stage: told.append((stage, budget.news))):
+        budget = Budget(60.0)
+        with budget.stage("robustness"):
+            budget.news = "0.5 m"
+        with budget.stage("effort"):
+            pass
+    with budget.stage("nobody watches"):
+        pass
+    assert told == [("robustness", ""), (None, "0.5 m"), ("effort", "0.5 m"), (None, "0.5 m")]
+
+
+def test_help_says_which_domains_are_planned(capsys):
+    with pytest.raises(SystemExit):
+        main(("plan", "--help"))
+    said = capsys.readouterr().out
+    assert "free-flyers" in said
+    assert "dual_arm, follow no plan" in re.sub(r"[│\s]+", " ", said)
