@@ -25,6 +25,7 @@ from agents.actor import DESCRIPTION, Actor, PolicyRecord, save_policy
 from agents.play import Played, play_each, play_episodes
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError
+from impact_envs.scenario import load_scenario
 from train.arguments import Args, TuneArgs
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions
@@ -60,6 +61,7 @@ def main(args: TuneArgs) -> dict[str, Any]:
     """
     start = time.perf_counter(), time.process_time()
     check_args(args)
+    numbers = count_numbers(args)
     torch.set_num_threads(1)
     with lock_folder(args.out):
         _check_free(args.out)
@@ -72,7 +74,6 @@ def main(args: TuneArgs) -> dict[str, Any]:
             )
         )  # fmt: skip
         try:
-            numbers = count_numbers(args, grounds[0])
             with show_progress(args.generations + args.finalists, args.progress, "tuning") as watch:
                 meet_expert(args, grounds)
                 means = search(args, grounds, numbers, watch)
@@ -123,20 +124,23 @@ def _check_free(out: Path) -> None:
         raise InputError(f"out {out}: holds a policy; choose another")
 
 
-def count_numbers(args: TuneArgs, ground: Ground) -> int:
+def count_numbers(args: TuneArgs) -> int:
     """Return how many leading features number the impact; 0 where one constant is for all.
 
     Raises:
-        InputError: the domain's experts do not number what they ask corrections for.
+        InputError: an unknown scenario, or one whose expert does not number what it asks corrections for.
     """
-    scenario = ground.worlds.scenario
-    found = find_part("planners", scenario.domain, "IMPACT_NUMBERS")
     if not args.per_impact:
         return 0
-    if found is None:
-        raise InputError(
-            f"--per-impact: scenario '{scenario.name}' has domain '{scenario.domain}', whose expert numbers no impacts"
-        )
+    found = 0
+    for name in args.scenarios:
+        scenario = load_scenario(name)
+        found = find_part("planners", scenario.domain, "IMPACT_NUMBERS")
+        if found is None:
+            raise InputError(
+                f"--per-impact: scenario '{scenario.name}' has domain '{scenario.domain}', "
+                "whose expert numbers no impacts"
+            )
     return int(found)
 
 

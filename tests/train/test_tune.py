@@ -72,8 +72,8 @@ def test_the_network_returns_the_constant_of_the_impact() -> None:
 @pytest.mark.parametrize("name", ["dual_arm_grasp", "floating_manipulator_thrusters"])
 def test_experts_that_number_no_impacts_have_no_constant_each(name: str) -> None:
     with pytest.raises(InputError, match=f"--per-impact: scenario '{name}' has domain .* numbers no impacts"):
-        tune.count_numbers(replace(ARGS, per_impact=True), make_ground(name))
-    assert tune.count_numbers(ARGS, make_ground(name)) == 0
+        tune.count_numbers(replace(ARGS, scenarios=(name,), per_impact=True))
+    assert tune.count_numbers(replace(ARGS, scenarios=(name,))) == 0
 
 
 @pytest.mark.parametrize(

@@ -72,11 +72,9 @@ def show(result: dict[str, Any]) -> None:
         console.print(_scenario_table(result["scenarios"]))
     if "rows" in result:
         table = _evaluation_table(result["rows"])
-        # Rather broken by the terminal than cut.
-        least = Measurement.get(console, console.options.update(max_width=1000), table).minimum
-        console.print(table, width=max(console.width, least), crop=False)
+        _print_whole(console, table)
     if "comparison" in result:
-        console.print(_comparison_table(result["comparison"]), crop=False)
+        _print_whole(console, _comparison_table(result["comparison"]))
     lines = _Lines(console, _find_units(result.get("domain", "")))
     for key, value in result.items():
         if key in SKIPPED or (key in ("set", "failure", "renamed", "violations") and not value):
@@ -88,6 +86,12 @@ def show(result: dict[str, Any]) -> None:
         else:
             lines.add(key, value)
     lines.end()
+
+
+def _print_whole(console: Console, table: Table) -> None:
+    """Print a table rather broken by the terminal than cut."""
+    least = Measurement.get(console, console.options.update(max_width=1000), table).minimum
+    console.print(table, width=max(console.width, least), crop=False)
 
 
 class _Lines:
@@ -190,9 +194,9 @@ def _comparison_table(rows: Sequence[dict[str, Any]]) -> Table:
         padding=(0, 1, 0, 0),
     )
     for title in ("scenario", "suite", "policy", "runs", "Success", "Robustness [m]", "Worst 5 % [m]"):
-        table.add_column(title)
+        table.add_column(escape(title), no_wrap=True)
     for title in ("Gain [m]", "Over the constant [m]", "Better than the expert", "Training CPU [s]"):
-        table.add_column(title)
+        table.add_column(escape(title), no_wrap=True)
     for row in rows:
         rate, (low, high) = row["success_rate"], row["success_ci"]
         cells = [row["scenario"], row["suite"], row["policy"], str(row["runs"])]

@@ -133,7 +133,7 @@ def make_batch_policy(name: str, case: Case, count: int, threads: int, action_sh
         action_shape: of one world.
 
     Raises:
-        InputError: a policy of single worlds, an unknown name, a checkpoint that does not fit, or an expert that knows one world only.
+        InputError: an unknown name, a policy or an expert of single worlds, or a checkpoint that does not fit.
         PlanningError: the expert found no plan.
     """
     scenario, options = case.scenario, case.options or None
