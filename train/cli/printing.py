@@ -193,17 +193,19 @@ def _comparison_table(rows: Sequence[dict[str, Any]]) -> Table:
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
     )
-    for title in ("scenario", "suite", "policy", "runs", "Success", "Robustness [m]", "Worst 5 % [m]"):
-        table.add_column(escape(title), no_wrap=True)
-    for title in ("Gain [m]", "Over the constant [m]", "Better than the expert", "Training CPU [s]"):
-        table.add_column(escape(title), no_wrap=True)
+    titles = ["scenario", "suite", "policy", "runs", "Success", "Robustness [m]", "Worst 5 % [m]", "Gain [m]"]
+    titles += ["Over the constant [m]", "Better than the expert", "Training CPU [s]"]
+    lines = []
     for row in rows:
         rate, (low, high) = row["success_rate"], row["success_ci"]
-        cells = [row["scenario"], row["suite"], row["policy"], str(row["runs"])]
+        cells = [row["scenario"], row["suite"], Path(row["policy"]).name, str(row["runs"])]
         cells += [f"{100 * rate:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"]
         cells += [_with_interval(row, name) for name in ("iqm", "worst", "gain", "gain_over_constant")]
         cells += [_with_interval(row, "improvement", 2)]
-        cells += [UNKNOWN if row["cpu_seconds"] is None else f"{row['cpu_seconds']:.0f}"]
+        lines.append([*cells, UNKNOWN if row["cpu_seconds"] is None else f"{row['cpu_seconds']:.0f}"])
+    for title, texts in zip(titles, zip(*lines, strict=True), strict=True):
+        table.add_column(escape(title), min_width=max(map(len, texts)))  # titles are broken, cells are not
+    for row, cells in zip(rows, lines, strict=True):
         table.add_row(*map(escape, cells), style="bold" if row["earned"] else None)
     return table
 
