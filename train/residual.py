@@ -172,7 +172,7 @@ def check_run(args: Args) -> None:
     if held is not None and not args.resume:
         raise InputError(f"out {args.out}: holds a run of {int(held.name)} iterations; resume it or choose another")
     if held is not None:
-        before, now = read_training(held).run, _settings(args)
+        before, now = read_training(held).run, list_settings(asdict(args))
         for key in FIXED:
             if before.get(key) != now[key]:
                 raise InputError(f"{held}: was made with {key} {before.get(key)}; cannot be resumed with {now[key]}")
@@ -226,9 +226,10 @@ def make_grounds(args: Args) -> list[Ground]:
         scenario, options = case.scenario, dict(case.options)
         if not args.plan_anew and args.variant is None and "plan_anew" in list_options(scenario):
             options.setdefault("plan_anew", False)
-        if has_planner(scenario) and scenario.name not in plans:
-            plans[scenario.name] = make_plan(scenario)
-        plan = plans.get(scenario.name)
+        believed = scenario.as_believed().model_dump_json()  # a suite may shorten the horizon
+        if has_planner(scenario) and believed not in plans:
+            plans[believed] = make_plan(scenario)
+        plan = plans.get(believed)
         worlds = ResidualVectorEnv(
             scenario, count, plan=plan, options=options or None, threads=args.threads, variant=args.variant
         )
@@ -258,7 +259,7 @@ class Run:
     """
 
     def __init__(self, args: Args, grounds: list[Ground]) -> None:
-        self._args, self._grounds, self._settings = args, grounds, _settings(args)
+        self._args, self._grounds, self._settings = args, grounds, list_settings(asdict(args))
         experts = grounds[0].worlds.experts
         options = LearningOptions(
             args.hidden, args.learning_rate, args.batch, args.epochs, args.clip, args.entropy, args.target_kl,
@@ -268,6 +269,7 @@ class Run:
         formats = ["tensorboard"] if args.log else []
         self.model.set_logger(configure(str(args.out / "tensorboard") if args.log else None, formats))
         self.iterations, self.evaluations = 0, list[dict[str, Any]]()
+        self._cpu_start = time.process_time()
         self.statistics: Statistics
         if args.resume:
             checkpoint = last_checkpoint(args.out)
@@ -275,6 +277,7 @@ class Run:
             record, self.statistics = load_training(checkpoint, self.model)
             check_evaluations(checkpoint, record.evaluations)
             self.iterations, self.evaluations = record.iterations, record.evaluations
+            self._cpu_start -= record.cpu_seconds
             if len(record.scales) != len(grounds):
                 raise InputError(f"{checkpoint}: key 'scales': {len(record.scales)} of {len(grounds)} sources")
             for ground, scale in zip(grounds, record.scales, strict=True):
@@ -286,6 +289,11 @@ class Run:
     def best(self) -> dict[str, Any]:
         """Return the evaluation of the kept policy; empty without any."""
         return max(self.evaluations, key=rate_evaluation, default={})
+
+    @property
+    def cpu_seconds(self) -> float:
+        """Return the processor time of the run so far, all threads together, without what a kill lost [s]."""
+        return round(time.process_time() - self._cpu_start, 3)
 
     def begin(self, watch: Watch) -> None:
         """Evaluate and save the start of a new run."""
@@ -329,8 +337,6 @@ class Run:
 
     def report(self) -> dict[str, Any]:
         """Judge the kept policy on seeds that it was not chosen on; empty without such seeds."""
-        if self._args.report_episodes == 0:
-            return {}
         from agents.actor import load_policy
 
         actor, _ = load_policy(self._args.out)
@@ -374,15 +380,7 @@ class Run:
         watch.say(describe_evaluation(evaluation))
 
     def _judge(self, actor: Actor, first: int, episodes: int) -> dict[str, Any]:
-        """Pair a policy with the expert on some seeds of every ground."""
-        gains, sources, seeds = list[Gain](), [], np.arange(first, first + episodes)
-        for ground in self._grounds:
-            if first not in ground.reference:
-                ground.reference[first] = play_episodes(ground.worlds, seeds)
-            expert, played = ground.reference[first], play_episodes(ground.worlds, seeds, actor.correction)
-            gains.append(compute_gain(played, expert, self._args.worst * ground.scale, ground.scale))
-            sources.append({"scenario": ground.source.scenario, "suite": ground.source.suite, **asdict(gains[-1])})
-        return {**summarise_pairs(gains), "sources": sources}
+        return judge(self._grounds, actor, first, episodes, self._args.worst)
 
     def _save(self) -> None:
         """Write a checkpoint, all or nothing, and drop all but the last two."""
@@ -394,8 +392,9 @@ class Run:
             self._save_policy(partial, actor)
             scales = [ground.scale for ground in self._grounds]
             save_training(
-                partial, self.model, self.statistics, self.iterations, scales, self._settings, self.evaluations
-            )
+                partial, self.model, self.statistics, self.iterations, scales, self._settings, self.evaluations,
+                self.cpu_seconds,
+            )  # fmt: skip
             partial.rename(folder)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
@@ -419,8 +418,31 @@ class Run:
             steps=self.model.num_timesteps,
             training=self._settings,
             versions=read_versions(),
+            cpu_seconds=self.cpu_seconds,
         )
         save_policy(folder, actor, record)
+
+
+def judge(grounds: list[Ground], actor: Actor, first: int, episodes: int, worst: float) -> dict[str, Any]:
+    """Pair a policy with the expert on some seeds of every ground.
+
+    Args:
+        grounds: to play in; the expert's episodes are played once for all policies.
+        actor: the policy.
+        first: of the seeds.
+        episodes: of each ground; without any, nothing is returned.
+        worst: a failure counts no more than so many times the scale of its ground.
+    """
+    if episodes == 0:
+        return {}
+    gains, sources, seeds = list[Gain](), [], np.arange(first, first + episodes)
+    for ground in grounds:
+        if first not in ground.reference:
+            ground.reference[first] = play_episodes(ground.worlds, seeds)
+        expert, played = ground.reference[first], play_episodes(ground.worlds, seeds, actor.correction)
+        gains.append(compute_gain(played, expert, worst * ground.scale, ground.scale))
+        sources.append({"scenario": ground.source.scenario, "suite": ground.source.suite, **asdict(gains[-1])})
+    return {**summarise_pairs(gains), "sources": sources}
 
 
 def compute_scores(robustness: np.ndarray, scale: float, worst: float) -> np.ndarray:
@@ -449,9 +471,9 @@ def describe_evaluation(evaluation: dict[str, Any]) -> str:
     )
 
 
-def _settings(args: Args) -> dict[str, Any]:
-    """Return the arguments as JSON values."""
-    return {key: _plain(value) for key, value in asdict(args).items()}
+def list_settings(args: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a run as JSON values."""
+    return {key: _plain(value) for key, value in args.items()}
 
 
 def _plain(value: Any) -> Any:

@@ -29,7 +29,9 @@ from planners.errors import PlanningError
 from train.cli.progress import show_planning
 from train.evaluation.errors import Diverged, WorkerLost
 
-COMMANDS = ("list", "plan", "run", "play", "train", "dataset", "evaluate", "report", "reproduce", "demo")
+COMMANDS = (
+    "list", "plan", "run", "play", "train", "tune", "dataset", "evaluate", "compare", "report", "reproduce", "demo",
+)  # fmt: skip
 # Faults of the disk; some libraries do not say of which file.
 DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
