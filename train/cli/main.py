@@ -96,7 +96,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             show(result)
     except BrokenPipeError:  # who read it has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return int(result.get("accepted") is False)  # a plan that was checked
+    # A plan that was checked and refused; one that was forced is flown.
+    return int(getattr(command, "check", None) is not None and result["accepted"] is False)
 
 
 def _parse(arguments: list[str]) -> Command:
