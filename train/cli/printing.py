@@ -57,7 +57,7 @@ COLUMNS = {
     "restitution_spread": "its spread",
     "drift": "drift [m/s²]",
 }
-SKIPPED = ("scenarios", "rows", "paired", "plans", "domain", "unit", "wrote", "comparison")
+SKIPPED = ("scenarios", "rows", "paired", "plans", "domain", "unit", "comparison")
 
 
 def show(result: dict[str, Any]) -> None:
