@@ -112,7 +112,7 @@ def test_demo_does_the_main_job(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 1)  # workers take longer to start than to play
     for _ in range(2):  # the second one starts afresh
         shown = result(capsys, "demo", "--episodes", "1", "--out", str(tmp_path / "demo"))
-    assert {name: plan["gap"] for name, plan in shown["plans"].items()} == {"throw_and_catch": 0, "corridor": 0}
+    assert {name: plan["gap"] for name, plan in shown["plans"].items()} == {"throw_and_catch": 0, "pong": 0}
     assert len(shown["rows"]) == 2 * 2 * 3
     assert Path(shown["report"]).is_file()
     rates = [(row["policy"], row["success_rate"]) for row in shown["rows"] if row["suite"] == "all"]
