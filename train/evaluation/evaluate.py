@@ -229,8 +229,13 @@ def _check_sendable(labels: Sequence[str]) -> None:
 def _check_checkpoint(label: str, variants: Sequence[str]) -> None:
     # Imported here: an evaluation without checkpoints needs no torch.
     from agents.actor import load_policy
+    from agents.shared_actor import is_shared, load_shared
 
-    load_policy(checkpoint_directory(label, variants))
+    directory = checkpoint_directory(label, variants)
+    if is_shared(directory):
+        load_shared(directory)
+    else:
+        load_policy(directory)
 
 
 def _digests(cases: Sequence[Case], labels: Sequence[str]) -> dict[str, str]:
@@ -249,7 +254,8 @@ def _digests(cases: Sequence[Case], labels: Sequence[str]) -> dict[str, str]:
         if is_own(label):
             digests[label] = digest_code(label)
         elif not all(is_built_in(label, case.scenario) for case in cases):
-            files = sorted(checkpoint_directory(label).glob("policy.*"))
+            folder = checkpoint_directory(label)
+            files = sorted((*folder.glob("policy.*"), *folder.glob("shared.*")))
             digests[label] = digest(*(file.read_bytes() for file in files))
     return digests
 

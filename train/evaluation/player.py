@@ -74,8 +74,8 @@ def make_policy(
 
     Args:
         name: ``expert``, ``oracle`` (told the truth), ``zero`` (no control), ``random`` (uniform actions), a variant of
-            the expert (see planners.list_variants), a checkpoint directory, the name of a shipped checkpoint, or
-            ``module:factory`` of the user, see own_policy.
+            the expert (see planners.list_variants), a checkpoint directory (of a residual policy, or of one that all
+            robots share), the name of a shipped checkpoint, or ``module:factory`` of the user, see own_policy.
         scenario: a shipped name, the path of a TOML file, or a Scenario; experts see only its believed part.
         plan: for the expert to follow; planned now if one is needed and none is given.
         options: of the expert, see planners.make_expert; unused without one.
@@ -97,6 +97,10 @@ def make_policy(
     if name == "expert" or name in variants:
         return make_expert(loaded, plan, name if name in variants else None, options)
     directory = checkpoint_directory(name, variants)
+    from agents.shared_actor import is_shared, load_shared_policy
+
+    if is_shared(directory):
+        return load_shared_policy(directory, loaded)
     from agents.residual import ResidualPolicy
 
     return ResidualPolicy.load(directory, loaded, plan, options)
