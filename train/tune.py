@@ -37,6 +37,7 @@ from train.residual import (
     judge,
     list_settings,
     make_grounds,
+    read_cases,
 )
 from train.watch import Watch, run_script, show_progress
 
@@ -62,17 +63,17 @@ def main(args: TuneArgs) -> dict[str, Any]:
     start = time.perf_counter(), time.process_time()
     check_args(args)
     numbers = count_numbers(args)
+    suites = args.suite or ("hard",)
+    share = len(args.scenarios) * len(suites)
+    ground = Args(
+        scenarios=args.scenarios, suite=suites, set=args.set, plan_anew=args.plan_anew, variant=args.variant,
+        worlds=share * max(1, args.worlds // share), threads=args.threads,
+    )  # fmt: skip
+    cases = read_cases(ground)
     torch.set_num_threads(1)
     with lock_folder(args.out):
         _check_free(args.out)
-        suites = args.suite or ("hard",)
-        share = len(args.scenarios) * len(suites)
-        grounds = make_grounds(
-            Args(
-                scenarios=args.scenarios, suite=suites, set=args.set, plan_anew=args.plan_anew, variant=args.variant,
-                worlds=share * max(1, args.worlds // share), threads=args.threads,
-            )
-        )  # fmt: skip
+        grounds = make_grounds(ground, cases)
         try:
             with show_progress(args.generations + args.finalists, args.progress, "tuning") as watch:
                 meet_expert(args, grounds)
@@ -83,8 +84,8 @@ def main(args: TuneArgs) -> dict[str, Any]:
             save_policy(args.out, actor, describe(args, grounds, actor, numbers, spent))
             report = judge(grounds, actor, REPORT_SEEDS, args.report_episodes, args.worst)
         finally:
-            for ground in grounds:
-                ground.worlds.close()
+            for made in grounds:
+                made.worlds.close()
     return {
         "constants": np.round(constants, 4).tolist(),
         "out": str(args.out),
