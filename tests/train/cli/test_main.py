@@ -4,13 +4,12 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from impact_envs import list_scenarios
-from train import residual
 from train.arguments import Args
 from train.cli.main import main
 
@@ -154,7 +153,10 @@ BAD = {
     "plan folder": (("plan", "corridor", "--out", "no/such/plan.json"), ["no/such"]),
     "report": (("report", "nowhere"), ["nowhere"]),
     "command": (("frobnicate",), ["frobnicate", "plan"]),
-    "algorithm": (("train", "corridor", "--algo", "dqn"), ["dqn", "ppo", "sac"]),
+    "no option": (("train", "corridor", "--algo", "dqn"), ["--algo"]),
+    "training suite": (("train", "corridor", "--suite", "hrad"), ["hrad", "hard"]),
+    "training value": (("train", "corridor", "--set", "expert.filtr=false"), ["filtr", "filter"]),
+    "training worlds": (("train", "corridor", "--worlds", "12"), ["worlds 12", "group 8"]),
     "plan of arms": (("plan", "dual_arm_grasp"), ["dual_arm_grasp", "no plan", "free_flyer"]),
     "Bezier plan of arms": (("plan", "dual_arm_grasp", "--encoding", "bezier"), ["dual_arm_grasp", "no plan"]),
     "arms with a plan": (("run", "dual_arm_grasp", "--plan", "nope.json"), ["dual_arm_grasp", "no plan"]),
@@ -180,9 +182,7 @@ def test_bad_input_is_one_line_and_exit_code_2(case, capsys):
         assert word in err
 
 
-def test_a_file_where_a_folder_belongs_is_one_line(capsys, tmp_path, monkeypatch):
-    make_envs = residual.make_envs
-    monkeypatch.setattr(residual, "make_envs", lambda args, *rest: make_envs(replace(args, subprocesses=False), *rest))
+def test_a_file_where_a_folder_belongs_is_one_line(capsys, tmp_path):
     file = tmp_path / "file"
     file.write_text("kept")
     for arguments in (
