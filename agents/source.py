@@ -20,12 +20,14 @@ class Source(JsonRecord):
         scenario, suite: names.
         environment: Gymnasium id of the residual environment, whose version rises with every change of the expert's
             behaviour; None for a user's own scenario.
+        horizon: of the scenario in that suite [s].
         plan: digest of the plan that the expert followed, None without one.
     """
 
     scenario: str
     suite: str
     environment: str | None
+    horizon: float
     plan: str | None
 
 
@@ -33,7 +35,10 @@ def make_source(scenario: Scenario, suite: str, plan: Plan | None) -> Source:
     """Describe a scenario in a suite, with the expert's plan, as they are now."""
     shipped = scenario.name in list_scenarios()
     environment = gym_id(scenario.name, residual=True) if shipped else None
-    return Source(scenario=scenario.name, suite=suite, environment=environment, plan=compute_digest(plan))
+    digest = compute_digest(plan)
+    return Source(
+        scenario=scenario.name, suite=suite, environment=environment, horizon=scenario.horizon, plan=digest
+    )
 
 
 def compute_digest(plan: Plan | None) -> str | None:
@@ -53,12 +58,13 @@ def find_difference(sources: tuple[Source, ...], scenario: Scenario, plan: Plan 
         scenario: that the policy is to play; one that it was not trained in is no difference of the expert.
         plan: that its expert follows there.
     """
-    for source in sources:
-        if source.scenario != scenario.name:
-            continue
+    known = [source for source in sources if source.scenario == scenario.name]
+    for source in known:
         now = make_source(scenario, source.suite, plan)
         if now.environment != source.environment:
             return f"trained on the expert of {source.environment}; this one is {now.environment}'s"
-        if now.plan != source.plan:
-            return f"trained on another plan of {scenario.name} (digest {source.plan}, now {now.plan})"
+    digests = {source.plan for source in known if source.horizon == scenario.horizon}
+    if digests and (digest := compute_digest(plan)) not in digests:
+        trained = " or ".join(sorted(map(str, digests)))
+        return f"trained on another plan of {scenario.name} (digest {trained}, now {digest})"
     return None

@@ -25,7 +25,7 @@ from planners.plan import Plan
 from tests.agents.target import SIZES, STATISTICS, draw_features, export, make_small, practise
 from tests.frozen.freeze import get_plan
 
-SOURCE = Source(scenario="throw_and_catch", suite="hard", environment=None, plan=None)
+SOURCE = Source(scenario="throw_and_catch", suite="hard", environment=None, horizon=30.0, plan=None)
 
 
 def make_record(**changes: Any) -> PolicyRecord:

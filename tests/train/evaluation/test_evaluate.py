@@ -52,7 +52,7 @@ def save_checkpoint(folder: Path, output: float = 0.0) -> None:
     actor.layers[-1].bias.data.fill_(output)
     record = PolicyRecord(
         domain="free_flyer",
-        sources=(Source(scenario="pong", suite="nominal", environment=None, plan=None),),
+        sources=(Source(scenario="pong", suite="nominal", environment=None, horizon=100.0, plan=None),),
         algorithm="ppo",
         feature_size=sizes[0],
         correction_size=sizes[1],
