@@ -81,6 +81,9 @@ class Args:
     """Logarithm of the exploration's standard deviation at the start; default: -0.5 from scratch, -3 from a clone."""
     learning_rate: float | None = None
     """Step size of Adam; default: 1e-3 from scratch, 1e-4 from a clone."""
+    reach: float = 0.5
+    """A return R counts reach tanh(R / reach) [m]: else robots learn to touch nothing, because most first throws lose
+    much more than a good one wins."""
     gamma: float | None = None
     """Discount; default: the one named for the reward."""
     gae_lambda: float = 0.98
@@ -110,14 +113,19 @@ class Args:
 class TeamVecEnv(VecEnvWrapper):
     """Robots as environments that observe: their own features, normalised, then the world's state, normalised.
 
+    Rewards are the changes of ``reach tanh(R / reach)``, R the return so far: they sum up to that of the whole return,
+    so that what is best in a world stays best.
+
     Args:
         worlds: with ``per_robot``.
         actor: whose normalisation the features have.
         waves, place: of the time in the features.
+        reach: of returns [m].
     """
 
-    def __init__(self, worlds: ImpactVecEnv, actor: Actor, waves: int, place: int) -> None:
+    def __init__(self, worlds: ImpactVecEnv, actor: Actor, waves: int, place: int, reach: float) -> None:
         self.worlds, self._actor, self._waves, self._place = worlds, actor, waves, place
+        self._reach, self._returns = reach / worlds.envs_per_world, np.zeros(worlds.num_envs)  # of one robot
         self.features = len(actor.mean)
         size = self.features + worlds.state_layout(secrets=True).size
         super().__init__(worlds, Box(-np.inf, np.inf, (size,), np.float32), worlds.action_space)
@@ -125,11 +133,16 @@ class TeamVecEnv(VecEnvWrapper):
 
     def reset(self) -> np.ndarray:
         """Start an episode in every world; return observations, shape (num_envs, size)."""
+        self._returns[:] = 0.0
         return self._join(cast(np.ndarray, self.venv.reset()))
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Step all worlds; where an episode ended nothing follows, so that its last observation is not needed."""
         observations, rewards, ended, infos = self.venv.step_wait()
+        before, reach = self._returns, self._reach
+        after = before + rewards
+        self._returns = np.where(ended, 0.0, after)
+        rewards = reach * (np.tanh(after / reach) - np.tanh(before / reach))
         return self._join(cast(np.ndarray, observations)), rewards, ended, infos
 
     def _join(self, observations: np.ndarray) -> np.ndarray:
@@ -303,8 +316,9 @@ def check_args(args: Args) -> None:
     for name in ("worlds", "threads", "parts", "epochs", "eval_every", "eval_episodes"):
         if getattr(args, name) < 1:
             raise InputError(f"{name} {getattr(args, name)} is too small; choices: 1, 2, ...")
-    if not args.minutes > 0.0:
-        raise InputError(f"minutes {args.minutes:g}: choices: above 0")
+    for name in ("minutes", "reach"):
+        if not getattr(args, name) > 0.0:
+            raise InputError(f"{name} {getattr(args, name):g}: choices: above 0")
     if not args.hidden or min(args.hidden) < 1:
         raise InputError(f"hidden {list(args.hidden)}: every layer needs a width of at least 1")
 
@@ -339,7 +353,7 @@ def make_model(args: Args, scenario: Scenario) -> tuple[PPO, Actor, SharedRecord
             raise InputError(
                 f"init {args.init}: {len(old.observation)} numbers in an observation; {scenario.name} has {layout.size}"
             )
-    team = TeamVecEnv(worlds, actor, waves, place)
+    team = TeamVecEnv(worlds, actor, waves, place, args.reach)
     team.state_mean, team.state_std = states.mean(axis=0), np.maximum(states.std(axis=0), args.least_spread)
     sizes = tuple(int(cast(nn.Linear, layer).out_features) for layer in actor.layers)
     fresh = args.init is None

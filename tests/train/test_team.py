@@ -57,6 +57,18 @@ def test_robots_do_not_see_the_state_and_the_critic_does(args: Args) -> None:
     assert not torch.allclose(*values)
 
 
+def test_rewards_sum_up_to_the_bounded_return(args: Args) -> None:
+    model, *_ = make_model(args, SHORT)
+    model.env.reset()
+    actions, total = np.full((4, 3), 0.3), np.zeros(4)
+    for _ in range(SHORT.steps):
+        _, rewards, ended, infos = model.env.step(actions)
+        total += rewards
+    returns = np.array([info["episode"]["r"] for info in infos])
+    assert ended.all()
+    assert np.allclose(total, 0.25 * np.tanh(returns / 0.25), atol=1e-5)  # half of `reach`, for each of two robots
+
+
 def test_training_from_a_clone_starts_at_it_exactly(args: Args, cloned: Path) -> None:
     model, actor, record = make_model(dataclasses.replace(args, init=cloned), SHORT)
     copy_actor(model, actor)
