@@ -78,9 +78,10 @@ class Args:
     least_spread: float = 0.25
     """Of a feature [m, m/s]: one that hardly varies in the first episodes is not blown up."""
     log_std: float | None = None
-    """Logarithm of the exploration's standard deviation at the start; default: -0.5 from scratch, -3 from a clone."""
+    """Logarithm of the exploration's standard deviation at the start (of its matrix with sde); default: -2.5 from
+    scratch, -3 from a clone."""
     learning_rate: float | None = None
-    """Step size of Adam; default: 1e-3 from scratch, 1e-4 from a clone."""
+    """Step size of Adam; default: 3e-4 from scratch, 1e-4 from a clone."""
     reach: float = 0.5
     """A return R counts reach tanh(R / reach) [m]: else robots learn to touch nothing, because most first throws lose
     much more than a good one wins."""
@@ -90,8 +91,9 @@ class Args:
     """Trace of the advantages: 50 steps, the time that a robot takes to reach an object."""
     parts: int = 8
     """Gradient steps per pass over an iteration."""
-    sde: bool = False
-    """Explore by a matrix that is held for two seconds (gSDE), rather than by white noise."""
+    sde: bool | None = None
+    """Explore by a matrix that is held for two seconds (gSDE), rather than by white noise, which hardly moves a robot;
+    default: from scratch."""
     epochs: int = 10
     """Times that an iteration is learned from."""
     clip: float = 0.2
@@ -357,10 +359,11 @@ def make_model(args: Args, scenario: Scenario) -> tuple[PPO, Actor, SharedRecord
     team.state_mean, team.state_std = states.mean(axis=0), np.maximum(states.std(axis=0), args.least_spread)
     sizes = tuple(int(cast(nn.Linear, layer).out_features) for layer in actor.layers)
     fresh = args.init is None
+    sde = fresh if args.sde is None else args.sde
     model = PPO(
         TeamPolicy,
         team,
-        args.learning_rate if args.learning_rate is not None else (1e-3 if fresh else 1e-4),
+        args.learning_rate if args.learning_rate is not None else (3e-4 if fresh else 1e-4),
         n_steps=scenario.steps,
         batch_size=max(scenario.steps * team.num_envs // args.parts, 2),
         n_epochs=args.epochs,
@@ -373,10 +376,10 @@ def make_model(args: Args, scenario: Scenario) -> tuple[PPO, Actor, SharedRecord
             "features": team.features,
             "actor_hidden": sizes[:-1],
             "critic_hidden": args.hidden,
-            "log_std_init": args.log_std if args.log_std is not None else (-0.5 if fresh else -3.0),
+            "log_std_init": args.log_std if args.log_std is not None else (-2.5 if fresh else -3.0),
         },
-        use_sde=args.sde,
-        sde_sample_freq=round(2.0 / scenario.control_period) if args.sde else -1,
+        use_sde=sde,
+        sde_sample_freq=round(2.0 / scenario.control_period) if sde else -1,
         seed=args.seed,
         device="cpu",
     )
