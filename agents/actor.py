@@ -34,6 +34,7 @@ class PolicyRecord(WeightsRecord):
         seed, steps: of the training so far; a step is one awaited correction.
         training: every argument of the training run.
         versions: of the packages that trained it.
+        cpu_seconds: that its training took, all threads together, None where nobody counted [s].
     """
 
     format_version: Literal[2] = 2
@@ -49,6 +50,7 @@ class PolicyRecord(WeightsRecord):
     steps: Annotated[int, Field(ge=0)]
     training: dict[str, Any] = Field(default_factory=dict)
     versions: dict[str, str] = Field(default_factory=dict)
+    cpu_seconds: Annotated[float, Field(ge=0)] | None = None
 
 
 class Actor(nn.Module):

@@ -46,12 +46,29 @@ def play_episodes(
     Returns:
         The episodes in the order of the seeds, corrections in the order of time, chunk by chunk of worlds.
     """
-    seeds = np.asarray(seeds, np.int64)
-    chunks = [
-        _play_chunk(worlds, chunk, choose)
-        for chunk in np.split(seeds, range(worlds.num_envs, len(seeds), worlds.num_envs))
-    ]
-    starts = np.cumsum([0] + [len(chunk.success) for chunk in chunks[:-1]])
+    if choose is None:
+        return play_each(worlds, seeds, lambda features, _: np.zeros((len(features), worlds.experts.correction_size)))
+    return play_each(worlds, seeds, lambda features, _: choose(features))
+
+
+def play_each(
+    worlds: ResidualVectorEnv,
+    seeds: Sequence[int] | np.ndarray,
+    choose: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> Played:
+    """Play an episode of each seed, each with a policy of its own.
+
+    Args:
+        worlds, seeds: as `play_episodes` takes them.
+        choose: takes features, shape (m, F), and the places of their episodes among the seeds, shape (m,); returns
+            corrections, shape (m, C).
+
+    Returns:
+        As `play_episodes`.
+    """
+    seeds, size = np.asarray(seeds, np.int64), worlds.num_envs
+    starts = range(0, len(seeds), size)
+    chunks = [_play_chunk(worlds, seeds[start : start + size], start, choose) for start in starts]
     counts = [len(chunk.episode) for chunk in chunks]
     return Played(
         np.concatenate([chunk.robustness for chunk in chunks]),
@@ -64,9 +81,9 @@ def play_episodes(
 
 
 def _play_chunk(
-    worlds: ResidualVectorEnv, seeds: np.ndarray, choose: Callable[[np.ndarray], np.ndarray] | None
+    worlds: ResidualVectorEnv, seeds: np.ndarray, start: int, choose: Callable[[np.ndarray, np.ndarray], np.ndarray]
 ) -> Played:
-    """Play one episode in each of the first worlds."""
+    """Play one episode in each of the first worlds; start is the place of the first seed."""
     decisions, count = worlds.decisions, worlds.num_envs
     size, width = worlds.experts.correction_size, worlds.experts.feature_size
     used = np.arange(count) < len(seeds)
@@ -75,7 +92,7 @@ def _play_chunk(
     while (awaiting := decisions.awaiting_correction & used).any():
         chosen = np.flatnonzero(awaiting)
         seen = worlds.experts.features()[chosen]
-        answer = np.zeros((len(chosen), size)) if choose is None else np.asarray(choose(seen), float)
+        answer = np.asarray(choose(seen, start + chosen), float)
         given = np.zeros((count, size))
         given[chosen] = np.clip(answer, -1.0, 1.0)
         decisions.answer(awaiting, given)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import gymnasium
 import numpy as np
@@ -19,6 +19,9 @@ from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.stream import check_seed
 from planners import make_expert
 from planners.plan import Plan
+
+if TYPE_CHECKING:
+    from agents.actor import PolicyRecord
 
 # Seeds below are for training; tuning and evaluation use higher ones.
 TRAINING_SEEDS = 1_000_000
@@ -238,27 +241,12 @@ class ResidualPolicy:
         """
         # Imported here: residual environments need no torch.
         from agents.actor import load_policy
-        from agents.source import find_difference
 
         actor, record = load_policy(directory)
         loaded = load_scenario(scenario)
-        names = ", ".join(sorted({source.scenario for source in record.sources}))
-        if record.domain != loaded.domain:
-            raise InputError(
-                f"checkpoint '{directory}' is for domain '{record.domain}', "
-                f"scenario '{loaded.name}' has domain '{loaded.domain}'"
-            )
+        check_domain(directory, record, loaded)
         expert: CorrectableExpert = make_expert(loaded, plan, record.variant, options)
-        for key in ("feature_size", "correction_size"):
-            trained, offered = getattr(record, key), getattr(expert, key)
-            if trained != offered:
-                raise InputError(
-                    f"checkpoint '{directory}' was trained on {names} with {key} {trained}; "
-                    f"the expert of '{loaded.name}' has {key} {offered}"
-                )
-        difference = find_difference(record.sources, loaded, getattr(expert, "plan", None))
-        if difference is not None:
-            warnings.warn(f"checkpoint '{directory}': {difference}", stacklevel=2)
+        check_fit(directory, record, loaded, expert, getattr(expert, "plan", None))
         return cls(expert, actor.correction, name=str(directory))
 
     def reset(self, seed: int) -> None:
@@ -290,3 +278,47 @@ class ResidualPolicy:
         if self._unanswered:
             found.fallbacks["no_correction"] = self._unanswered
         return found
+
+
+def check_domain(directory: str | Path, record: PolicyRecord, scenario: Scenario) -> None:
+    """Raise unless a checkpoint is for a scenario's domain.
+
+    Args:
+        directory: of the checkpoint, for the message.
+        record: of the checkpoint.
+        scenario: that it is to play.
+
+    Raises:
+        InputError: it is for another.
+    """
+    if record.domain != scenario.domain:
+        raise InputError(
+            f"checkpoint '{directory}' is for domain '{record.domain}', "
+            f"scenario '{scenario.name}' has domain '{scenario.domain}'"
+        )
+
+
+def check_fit(directory: str | Path, record: PolicyRecord, scenario: Scenario, expert: Any, plan: Plan | None) -> None:
+    """Raise unless a checkpoint fits an expert's features and corrections; warn if it was trained on another.
+
+    Args:
+        directory, record, scenario: see `check_domain`.
+        expert: of one world or many, that is to be corrected.
+        plan: that it follows.
+
+    Raises:
+        InputError: it does not fit.
+    """
+    from agents.source import find_difference
+
+    names = ", ".join(sorted({source.scenario for source in record.sources}))
+    for key in ("feature_size", "correction_size"):
+        trained, offered = getattr(record, key), getattr(expert, key)
+        if trained != offered:
+            raise InputError(
+                f"checkpoint '{directory}' was trained on {names} with {key} {trained}; "
+                f"the expert of '{scenario.name}' has {key} {offered}"
+            )
+    difference = find_difference(record.sources, scenario, plan)
+    if difference is not None:
+        warnings.warn(f"checkpoint '{directory}': {difference}", stacklevel=3)

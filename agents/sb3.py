@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -115,8 +117,11 @@ def explore(model: PPO, normalized: np.ndarray) -> np.ndarray:
     Args:
         model: to draw from, with torch's generator.
         normalized: features, shape (m, F).
+
+    Raises:
+        FloatingPointError: weights, or what they predict, are not finite.
     """
-    with torch.no_grad():
+    with torch.no_grad(), _refuse_infinity():
         actions, _, _ = model.policy(torch.from_numpy(normalized))
     return actions.numpy()
 
@@ -148,10 +153,13 @@ def update(model: PPO, normalized: np.ndarray, corrections: np.ndarray, advantag
         normalized: features, shape (n, F).
         corrections: as drawn, shape (n, C).
         advantages: of each, shape (n,).
+
+    Raises:
+        FloatingPointError: weights, or what they predict, are no longer finite.
     """
     count = len(corrections)
     buffer = RolloutBuffer(count, model.observation_space, model.action_space, "cpu", gae_lambda=1.0, gamma=1.0)
-    with torch.no_grad():
+    with torch.no_grad(), _refuse_infinity():
         actions = torch.from_numpy(corrections.astype(np.float32))
         _, probability, _ = model.policy.evaluate_actions(torch.from_numpy(normalized), actions)
     buffer.observations[:, 0], buffer.actions[:, 0] = normalized, actions.numpy()
@@ -159,7 +167,21 @@ def update(model: PPO, normalized: np.ndarray, corrections: np.ndarray, advantag
     buffer.advantages[:, 0] = advantages
     buffer.full, model.rollout_buffer = True, buffer
     model.num_timesteps += count
-    model.train()
+    with _refuse_infinity():
+        model.train()
+    if not all(torch.isfinite(parameter).all() for parameter in model.policy.parameters()):
+        raise FloatingPointError("weights are not finite")
+
+
+@contextmanager
+def _refuse_infinity() -> Iterator[None]:
+    """Give torch's refusal of a normal distribution that is not finite a type of its own."""
+    try:
+        yield
+    except ValueError as error:
+        if "Normal" not in str(error):
+            raise
+        raise FloatingPointError("predictions are not finite") from error
 
 
 def export_actor(model: PPO, statistics: Statistics) -> Actor:

@@ -33,6 +33,7 @@ class TrainingRecord(WeightsRecord):
         param_groups: of Adam.
         run: every argument of the run.
         evaluations: result of every evaluation on tuning seeds so far.
+        cpu_seconds: of the run so far, all threads together [s].
     """
 
     format_version: Literal[2] = 2
@@ -43,6 +44,7 @@ class TrainingRecord(WeightsRecord):
     param_groups: list[dict[str, Any]]
     run: dict[str, Any]
     evaluations: list[dict[str, Any]] = Field(default_factory=list)
+    cpu_seconds: Annotated[float, Field(ge=0)] = 0.0
 
 
 def save_training(
@@ -53,6 +55,7 @@ def save_training(
     scales: list[float],
     run: dict[str, Any],
     evaluations: list[dict[str, Any]],
+    cpu_seconds: float = 0.0,
 ) -> None:
     """Write all that a killed run needs to continue.
 
@@ -60,7 +63,7 @@ def save_training(
         directory: folder to write training.safetensors and training.json into.
         model: from `sb3.make_model`.
         statistics: of the features.
-        iterations, scales, run, evaluations: see TrainingRecord.
+        iterations, scales, run, evaluations, cpu_seconds: see TrainingRecord.
 
     Raises:
         InputError: the files cannot be written.
@@ -73,6 +76,7 @@ def save_training(
         param_groups=model.policy.optimizer.state_dict()["param_groups"],
         run=run,
         evaluations=evaluations,
+        cpu_seconds=cpu_seconds,
     )
     write_checkpoint((Path(directory) / STATE, _tensors(model, statistics)), (Path(directory) / DESCRIPTION, record))
 

@@ -193,7 +193,7 @@ MAKERS = {
     **{
         f"checkpoint {checkpoint}": lambda name=name, checkpoint=checkpoint: Flown(name, residual(name, checkpoint))
         for name, checkpoint in (
-            ("corridor", "corridor_hard"),
+            ("pong", "pong_hard"),
             ("floating_manipulator_thrusters", "floating_manipulator_thrusters_hard"),
             ("dual_arm_grasp", "dual_arm_grasp_hard"),
         )

@@ -1,4 +1,4 @@
-"""Arguments of the training script, apart from it so that printing them imports no learner."""
+"""Arguments of the training scripts, apart from them so that printing them imports no learner."""
 
 from __future__ import annotations
 
@@ -67,3 +67,53 @@ class Args:
     """Write TensorBoard logs."""
     progress: bool = True
     """Show a bar, and each evaluation, on standard error."""
+
+
+@dataclass(frozen=True)
+class TuneArgs:
+    """Arguments of a search for the best constant."""
+
+    scenarios: Positional[tuple[str, ...]] = ("pong",)
+    """Shipped names or TOML files; several share one constant."""
+    suite: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="SUITE")] = ()
+    """Mismatch suite of the true world; given several times, one constant for all. Without: hard."""
+    per_impact: bool = False
+    """A constant for each number of the impact in the plan, instead of one for all."""
+    out: Path = Path("runs/constant")
+    """Folder of the checkpoint; must not hold one."""
+    seed: int = 0
+    """Of the candidates."""
+    variant: str | None = None
+    """Published form or baseline of the expert to correct; without: the expert."""
+    set: tuple[str, ...] = ()
+    """Values to change, for example true.restitution=0.5 expert.NAME=VALUE."""
+    plan_anew: bool = False
+    """Let free-flyers' experts plan anew in the background: slower, and hardly another constant."""
+    population: int = 24
+    """Candidates of a generation."""
+    elites: int = 6
+    """The best of them, to whose mean and spread the search moves."""
+    episodes: int = 40
+    """Tuning seeds of a generation, of each scenario and suite; every candidate plays them all."""
+    generations: int = 10
+    """Of the search; every one plays other seeds."""
+    spread: float = 0.3
+    """Standard deviation of the first candidates, of the range of a correction."""
+    least_spread: float = 0.02
+    """The standard deviation does not fall below this: a lucky generation must not end the search."""
+    step: float = 0.7
+    """Share of the way to the elites that mean and spread move: the score of so few episodes is noisy."""
+    finalists: int = 4
+    """Means of the last generations among which, and zero, the last choice is made."""
+    final_episodes: int = 400
+    """Seeds of that choice, of each scenario and suite; the search has not seen them."""
+    report_episodes: int = 200
+    """Seeds for the report on what was chosen; 0: none."""
+    worst: float = 2.0
+    """A failure counts no more than so many times the expert's median robustness."""
+    worlds: int = 512
+    """Episodes that are played at a time, over all scenarios and suites."""
+    threads: int | None = None
+    """That share the worlds; all cores without."""
+    progress: bool = True
+    """Show a bar, and each generation, on standard error."""

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 import shutil
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -46,7 +47,7 @@ from agents.training_state import load_training, read_training, save_training
 from impact_envs.errors import InputError
 from planners import check_options, has_planner, list_options, make_plan
 from train.arguments import Args
-from train.evaluation.case import check_names, make_case
+from train.evaluation.case import Case, check_names, make_case
 from train.evaluation.errors import Diverged
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
@@ -89,7 +90,7 @@ def main(args: Args) -> dict[str, Any]:
 
     Returns:
         ``steps`` answered, ``out``, ``wall_seconds``, ``eval``: of the kept policy on the tuning seeds, paired with the
-        expert, and ``report``: on seeds that it was not chosen on.
+        expert, empty without evaluations, and ``report``: on seeds that it was not chosen on.
 
     Raises:
         InputError: bad arguments, or a run in ``out`` that cannot be gone on with.
@@ -98,10 +99,11 @@ def main(args: Args) -> dict[str, Any]:
     """
     start = time.perf_counter()
     check_args(args)
+    cases = read_cases(args)
     torch.set_num_threads(1)
     with lock_folder(args.out):
         check_run(args)
-        grounds = make_grounds(args)
+        grounds = make_grounds(args, cases)
         try:
             run = Run(args, grounds)
             with show_progress(args.steps, args.progress) as watch:
@@ -130,9 +132,9 @@ def check_args(args: Args) -> None:
     Raises:
         InputError: one line naming the argument, its value and the limit.
     """
-    least = {"steps": 1, "seed": 0, "group": 2, "worlds": 2, "batch": 2, "epochs": 1}
+    least = {"steps": 1, "seed": 0, "group": 2, "worlds": 2, "batch": 2, "epochs": 1, "threads": 1}
     for name, low in (least | {"eval_every": 0, "eval_episodes": 2, "report_episodes": 0}).items():
-        if getattr(args, name) < low:
+        if getattr(args, name) is not None and getattr(args, name) < low:
             raise InputError(f"{name} {getattr(args, name)} is too small; choices: {low}, {low + 1}, ...")
     ranges = (
         ("learning_rate", 0.0, 1.0),
@@ -140,9 +142,11 @@ def check_args(args: Args) -> None:
         ("clip", 0.0, 1.0),
         ("worst", 0.0, 1e6),
         ("cut", 1e-6, 1e6),
+        ("entropy", 0.0, 1.0),
+        ("target_kl", 1e-6, 1e6),
     )
     for name, lowest, highest in ranges:
-        if not lowest <= (value := getattr(args, name)) <= highest:
+        if (value := getattr(args, name)) is not None and not lowest <= value <= highest:
             raise InputError(f"{name} {value:g}: choices: from {lowest:g} to {highest:g}")
     if args.eval_episodes > REPORT_SEEDS - TUNING_SEEDS:
         raise InputError(f"eval_episodes {args.eval_episodes}: there are {REPORT_SEEDS - TUNING_SEEDS} tuning seeds")
@@ -172,7 +176,7 @@ def check_run(args: Args) -> None:
     if held is not None and not args.resume:
         raise InputError(f"out {args.out}: holds a run of {int(held.name)} iterations; resume it or choose another")
     if held is not None:
-        before, now = read_training(held).run, _settings(args)
+        before, now = read_training(held).run, list_settings(asdict(args))
         for key in FIXED:
             if before.get(key) != now[key]:
                 raise InputError(f"{held}: was made with {key} {before.get(key)}; cannot be resumed with {now[key]}")
@@ -205,15 +209,14 @@ def last_checkpoint(out: Path) -> Path | None:
     return max(folders, key=lambda path: int(path.name), default=None)
 
 
-def make_grounds(args: Args) -> list[Ground]:
-    """Make the worlds of every scenario and suite.
+def read_cases(args: Args) -> list[Case]:
+    """Read every scenario in every suite.
 
     Args:
         args: arguments of the run.
 
     Raises:
-        InputError: an unknown scenario, suite or value, or scenarios of different experts.
-        PlanningError: an expert found no plan.
+        InputError: an unknown scenario, suite, variant or value.
     """
     suites, settings = args.suite or (DEFAULT_SUITE,), parse_settings(args.set)
     check_names("suite", suites)
@@ -221,14 +224,29 @@ def make_grounds(args: Args) -> list[Ground]:
     cases = [make_case(scenario, suite, settings) for scenario in args.scenarios for suite in suites]
     for case in cases:
         check_options(case.scenario, case.options, args.variant)
+    return cases
+
+
+def make_grounds(args: Args, cases: Sequence[Case]) -> list[Ground]:
+    """Make the worlds of every scenario and suite.
+
+    Args:
+        args: arguments of the run.
+        cases: scenarios in their suites.
+
+    Raises:
+        InputError: scenarios of different experts.
+        PlanningError: an expert found no plan.
+    """
     count, grounds, plans = args.worlds // len(cases), list[Ground](), dict[str, Any]()
     for case in cases:
         scenario, options = case.scenario, dict(case.options)
         if not args.plan_anew and args.variant is None and "plan_anew" in list_options(scenario):
             options.setdefault("plan_anew", False)
-        if has_planner(scenario) and scenario.name not in plans:
-            plans[scenario.name] = make_plan(scenario)
-        plan = plans.get(scenario.name)
+        believed = scenario.as_believed().model_dump_json()  # a suite may shorten the horizon
+        if has_planner(scenario) and believed not in plans:
+            plans[believed] = make_plan(scenario)
+        plan = plans.get(believed)
         worlds = ResidualVectorEnv(
             scenario, count, plan=plan, options=options or None, threads=args.threads, variant=args.variant
         )
@@ -258,7 +276,7 @@ class Run:
     """
 
     def __init__(self, args: Args, grounds: list[Ground]) -> None:
-        self._args, self._grounds, self._settings = args, grounds, _settings(args)
+        self._args, self._grounds, self._settings = args, grounds, list_settings(asdict(args))
         experts = grounds[0].worlds.experts
         options = LearningOptions(
             args.hidden, args.learning_rate, args.batch, args.epochs, args.clip, args.entropy, args.target_kl,
@@ -268,6 +286,7 @@ class Run:
         formats = ["tensorboard"] if args.log else []
         self.model.set_logger(configure(str(args.out / "tensorboard") if args.log else None, formats))
         self.iterations, self.evaluations = 0, list[dict[str, Any]]()
+        self._cpu_start = time.process_time()
         self.statistics: Statistics
         if args.resume:
             checkpoint = last_checkpoint(args.out)
@@ -275,6 +294,7 @@ class Run:
             record, self.statistics = load_training(checkpoint, self.model)
             check_evaluations(checkpoint, record.evaluations)
             self.iterations, self.evaluations = record.iterations, record.evaluations
+            self._cpu_start -= record.cpu_seconds
             if len(record.scales) != len(grounds):
                 raise InputError(f"{checkpoint}: key 'scales': {len(record.scales)} of {len(grounds)} sources")
             for ground, scale in zip(grounds, record.scales, strict=True):
@@ -287,16 +307,39 @@ class Run:
         """Return the evaluation of the kept policy; empty without any."""
         return max(self.evaluations, key=rate_evaluation, default={})
 
+    @property
+    def cpu_seconds(self) -> float:
+        """Return the processor time of the run so far, all threads together, without what a kill lost [s]."""
+        return round(time.process_time() - self._cpu_start, 3)
+
     def begin(self, watch: Watch) -> None:
-        """Evaluate and save the start of a new run."""
+        """Evaluate and save the start, the expert, if the run is new."""
         write_json(self._args.out / "args.json", {"args": self._settings, "versions": read_versions()})
         watch.advance(self.model.num_timesteps)
-        if not self.evaluations and self.iterations == 0:
-            self._evaluate(watch)
+        if not self._args.resume:
+            if self._args.eval_every:
+                self._evaluate(watch)
             self._save()
 
     def iterate(self, watch: Watch) -> None:
         """Play, learn, evaluate if it is time to, and save."""
+        try:
+            self._learn()
+        except FloatingPointError as error:
+            raise Diverged(
+                f"training diverged after {self.model.num_timesteps} corrections: {error}; "
+                f"try a smaller learning_rate than {self._args.learning_rate}"
+            ) from error
+        self.iterations += 1
+        watch.advance(self.model.num_timesteps)
+        last, every = self.model.num_timesteps >= self._args.steps, self._args.eval_every
+        if every and (last or self.iterations % every == 0):
+            self._evaluate(watch)
+        self.model.logger.dump(self.model.num_timesteps)
+        self._save()
+
+    def _learn(self) -> None:
+        """Play an iteration's episodes and learn from them."""
         start, args = time.perf_counter(), self._args
         draw = self._seed()
         scores, rows = [], []
@@ -313,24 +356,14 @@ class Run:
         seconds = time.perf_counter() - start
         if len(corrections):
             update(self.model, features, corrections, advantages)
-        self._check_finite()
-        self.iterations += 1
         record = self.model.logger.record
         record("episode/success", float(np.mean(np.concatenate([played.success for played in scores]))))
         record("episode/robustness", float(np.median(np.concatenate([played.robustness for played in scores]))))
         record("correction/filtered", float(np.mean([played.filtered for played in scores])))
         record("time/corrections_per_second", len(corrections) / seconds)
-        watch.advance(self.model.num_timesteps)
-        last = self.model.num_timesteps >= args.steps
-        if args.eval_every and (last or self.iterations % args.eval_every == 0):
-            self._evaluate(watch)
-        self.model.logger.dump(self.model.num_timesteps)
-        self._save()
 
     def report(self) -> dict[str, Any]:
         """Judge the kept policy on seeds that it was not chosen on; empty without such seeds."""
-        if self._args.report_episodes == 0:
-            return {}
         from agents.actor import load_policy
 
         actor, _ = load_policy(self._args.out)
@@ -341,6 +374,11 @@ class Run:
         draw, features = self._seed(), []
         for ground in self._grounds:
             played = play_episodes(ground.worlds, draw.integers(TRAINING_SEEDS, size=ground.worlds.num_envs))
+            if len(played.features) == 0:
+                raise InputError(
+                    f"scenario '{ground.source.scenario}' in suite '{ground.source.suite}': "
+                    "the expert awaits no correction, there is nothing to learn"
+                )
             features.append(played.features)
             ground.scale = max(abs(float(np.median(played.robustness))), 1e-3)
         self.statistics = compute_statistics(np.concatenate(features))
@@ -353,13 +391,6 @@ class Run:
 
     def _explore(self, features: np.ndarray) -> np.ndarray:
         return explore(self.model, self.statistics.normalize(features))
-
-    def _check_finite(self) -> None:
-        if not all(torch.isfinite(parameter).all() for parameter in self.model.policy.parameters()):
-            raise Diverged(
-                f"training diverged after {self.model.num_timesteps} corrections: weights are not finite; "
-                f"try a smaller learning_rate than {self._args.learning_rate}"
-            )
 
     def _evaluate(self, watch: Watch) -> None:
         """Play the tuning seeds, and keep the policy if it surely gains most so far."""
@@ -374,15 +405,7 @@ class Run:
         watch.say(describe_evaluation(evaluation))
 
     def _judge(self, actor: Actor, first: int, episodes: int) -> dict[str, Any]:
-        """Pair a policy with the expert on some seeds of every ground."""
-        gains, sources, seeds = list[Gain](), [], np.arange(first, first + episodes)
-        for ground in self._grounds:
-            if first not in ground.reference:
-                ground.reference[first] = play_episodes(ground.worlds, seeds)
-            expert, played = ground.reference[first], play_episodes(ground.worlds, seeds, actor.correction)
-            gains.append(compute_gain(played, expert, self._args.worst * ground.scale, ground.scale))
-            sources.append({"scenario": ground.source.scenario, "suite": ground.source.suite, **asdict(gains[-1])})
-        return {**summarise_pairs(gains), "sources": sources}
+        return judge(self._grounds, actor, first, episodes, self._args.worst)
 
     def _save(self) -> None:
         """Write a checkpoint, all or nothing, and drop all but the last two."""
@@ -390,17 +413,18 @@ class Run:
         partial, actor = folder.with_name(f".{folder.name}"), export_actor(self.model, self.statistics)
         for rest in (partial, folder):
             shutil.rmtree(rest, ignore_errors=True)
+        if self._args.eval_every == 0:  # before the checkpoint: whoever resumes a finished run finds the last policy
+            self._save_policy(self._args.out, actor)
         try:
             self._save_policy(partial, actor)
             scales = [ground.scale for ground in self._grounds]
             save_training(
-                partial, self.model, self.statistics, self.iterations, scales, self._settings, self.evaluations
-            )
+                partial, self.model, self.statistics, self.iterations, scales, self._settings, self.evaluations,
+                self.cpu_seconds,
+            )  # fmt: skip
             partial.rename(folder)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-        if self._args.eval_every == 0:
-            self._save_policy(self._args.out, actor)
         for old in sorted(folder.parent.glob("[0-9]*"))[:-2]:
             shutil.rmtree(old)
 
@@ -419,8 +443,31 @@ class Run:
             steps=self.model.num_timesteps,
             training=self._settings,
             versions=read_versions(),
+            cpu_seconds=self.cpu_seconds,
         )
         save_policy(folder, actor, record)
+
+
+def judge(grounds: list[Ground], actor: Actor, first: int, episodes: int, worst: float) -> dict[str, Any]:
+    """Pair a policy with the expert on some seeds of every ground.
+
+    Args:
+        grounds: to play in; the expert's episodes are played once for all policies.
+        actor: the policy.
+        first: of the seeds.
+        episodes: of each ground; without any, nothing is returned.
+        worst: a failure counts no more than so many times the scale of its ground.
+    """
+    if episodes == 0:
+        return {}
+    gains, sources, seeds = list[Gain](), [], np.arange(first, first + episodes)
+    for ground in grounds:
+        if first not in ground.reference:
+            ground.reference[first] = play_episodes(ground.worlds, seeds)
+        expert, played = ground.reference[first], play_episodes(ground.worlds, seeds, actor.correction)
+        gains.append(compute_gain(played, expert, worst * ground.scale, ground.scale))
+        sources.append({"scenario": ground.source.scenario, "suite": ground.source.suite, **asdict(gains[-1])})
+    return {**summarise_pairs(gains), "sources": sources}
 
 
 def compute_scores(robustness: np.ndarray, scale: float, worst: float) -> np.ndarray:
@@ -449,9 +496,9 @@ def describe_evaluation(evaluation: dict[str, Any]) -> str:
     )
 
 
-def _settings(args: Args) -> dict[str, Any]:
-    """Return the arguments as JSON values."""
-    return {key: _plain(value) for key, value in asdict(args).items()}
+def list_settings(args: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a run as JSON values."""
+    return {key: _plain(value) for key, value in args.items()}
 
 
 def _plain(value: Any) -> Any:

@@ -40,14 +40,15 @@ class Watch:
 
 
 @contextmanager
-def show_progress(total: int, shown: bool) -> Iterator[Watch]:
+def show_progress(total: int, shown: bool, title: str = "training") -> Iterator[Watch]:
     """Show a bar on standard error.
 
     Args:
-        total: corrections in the whole run.
+        total: corrections, or what else is counted, in the whole run.
         shown: whether anything is shown at all.
+        title: of the bar.
     """
-    columns = (TextColumn("training"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), disable=not shown) as bar:
         yield Watch(bar, bar.add_task("", total=total))
 

@@ -12,3 +12,7 @@ ORACLE_BATCH = "planners.free_flyer.oracle:FreeFlyerOracleBatch"
 OPTIONS = "planners.free_flyer.belief.options:get_options"
 VARIANTS = "planners.free_flyer.belief.options:VARIANTS"
 CHECK_PLAN = "planners.free_flyer.expert:check_plan"
+# How many of the first features are the one-hot number of the impact in the plan.
+IMPACT_NUMBERS = "planners.free_flyer.closed_loop.features:ONE_HOT"
+# What the expert counts and does on purpose: all else is a fallback.
+ROUTINE = "planners.free_flyer.expert:ROUTINE"

@@ -18,9 +18,11 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from agents import ResidualEnv, ResidualVectorEnv
 from impact_envs import InputError, ResetNeeded, gym_id, list_scenarios, load_scenario
 from impact_envs.domain import find_part
+from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
 from tests.frozen.freeze import get_plan
 
 WORLDS, SEED = 3, 100
+SIZE, FEATURES = FreeFlyerExpertBatch.correction_size, FreeFlyerExpertBatch.feature_size
 LOOPED = [name for name in list_scenarios() if find_part("agents", load_scenario(name).domain, "LOOP")]
 MODES = [mode.value for mode in AutoresetMode]
 EVERYWHERE = ("seed", "control_steps")
@@ -99,7 +101,7 @@ def test_a_cut_is_no_decided_end_and_shows_the_features_there() -> None:
     mine.reset(seed=SEED)
     over, infos = np.zeros(WORLDS, bool), dict[str, Any]()
     while not over.all():
-        _, _, _, over, infos = mine.step(np.zeros((WORLDS, 2)))
+        _, _, _, over, infos = mine.step(np.zeros((WORLDS, SIZE)))
     assert not infos["decided"].any()
 
 
@@ -118,9 +120,9 @@ def test_without_autoreset_a_mask_restarts_worlds() -> None:
     first, _ = worlds.reset(seed=SEED)
     over = np.zeros(WORLDS, bool)
     while not over.any():
-        features, _, _, over, _ = worlds.step(np.zeros((WORLDS, 2)))
+        features, _, _, over, _ = worlds.step(np.zeros((WORLDS, SIZE)))
     with pytest.raises(ResetNeeded, match="step after the end of the episode of world"):
-        worlds.step(np.zeros((WORLDS, 2)))
+        worlds.step(np.zeros((WORLDS, SIZE)))
     again, infos = worlds.reset(seed=SEED, options={"reset_mask": over})
     np.testing.assert_array_equal(again[over], first[over])
     np.testing.assert_array_equal(again[~over], features[~over])
@@ -133,7 +135,7 @@ def test_seed_decides_everything(threads: int) -> None:
     found = []
     for worlds in (one, two, one):
         trace = [worlds.reset(seed=SEED)]
-        trace += [worlds.step(np.full((WORLDS, 2), 0.3)) for _ in range(6)]
+        trace += [worlds.step(np.full((WORLDS, SIZE), 0.3)) for _ in range(6)]
         found.append(trace)
     assert data_equivalence(found[0], found[1], exact=True)
     assert data_equivalence(found[0], found[2], exact=True)
@@ -143,7 +145,7 @@ def test_arrays_are_fresh_at_every_step() -> None:
     worlds = make("throw_and_catch")
     first, _ = worlds.reset(seed=SEED)
     kept = first.copy()
-    second, *_ = worlds.step(np.zeros((WORLDS, 2)))
+    second, *_ = worlds.step(np.zeros((WORLDS, SIZE)))
     assert not np.shares_memory(first, second)
     np.testing.assert_array_equal(first, kept)
 
@@ -153,7 +155,7 @@ def test_a_copy_goes_on_alike() -> None:
     worlds.reset(seed=SEED)
     copied = pickle.loads(pickle.dumps(worlds))
     for _ in range(4):
-        assert data_equivalence(worlds.step(np.ones((WORLDS, 2))), copied.step(np.ones((WORLDS, 2))), exact=True)
+        assert data_equivalence(worlds.step(np.ones((WORLDS, SIZE))), copied.step(np.ones((WORLDS, SIZE))), exact=True)
 
 
 def test_make_vec_gives_it() -> None:
@@ -161,18 +163,18 @@ def test_make_vec_gives_it() -> None:
     made = gymnasium.make_vec(gym_id("corridor", residual=True), num_envs=2, plan=plan)
     assert isinstance(made.unwrapped, ResidualVectorEnv)
     features, _ = made.reset(seed=0)
-    assert features.shape == (2, 27)
+    assert features.shape == (2, FEATURES)
     cut = gymnasium.make_vec(gym_id("corridor", residual=True), num_envs=2, plan=plan, max_episode_steps=50)
     cut.reset(seed=0)
-    assert cut.step(np.zeros((2, 2)))[3].all()
+    assert cut.step(np.zeros((2, SIZE)))[3].all()
 
 
 @pytest.mark.parametrize(
     ("actions", "words"),
     [
-        (np.zeros(2), r"actions of shape \(2,\), float64: real numbers of shape \(3, 2\) are needed"),
+        (np.zeros(SIZE), r"actions of shape \(3,\), float64: real numbers of shape \(3, 3\) are needed"),
         ([["a", "b"]] * WORLDS, "real numbers of shape"),
-        (np.full((WORLDS, 2), np.nan), r"action of world 0 = \[nan, nan\]: finite numbers only"),
+        (np.full((WORLDS, SIZE), np.nan), r"action of world 0 = \[nan, nan, nan\]: finite numbers only"),
     ],
 )
 def test_bad_actions_are_named(actions: Any, words: str) -> None:
@@ -204,7 +206,7 @@ def test_bad_arguments_are_named(options: dict[str, Any], words: str) -> None:
 
 def step_for_ever(worlds: ResidualVectorEnv) -> None:
     while True:
-        worlds.step(np.zeros((worlds.num_envs, 2)))
+        worlds.step(np.zeros((worlds.num_envs, SIZE)))
 
 
 def test_ctrl_c_is_answered_while_worlds_run() -> None:
@@ -218,8 +220,8 @@ def test_ctrl_c_is_answered_while_worlds_run() -> None:
         step_for_ever(worlds)
     assert time.perf_counter() - asked < 2.0
     with pytest.raises(ResetNeeded):
-        worlds.step(np.zeros((512, 2)))
+        worlds.step(np.zeros((512, SIZE)))
     # No thread goes on behind the reset.
     twin = make("pong", worlds=512, threads=1, options={"plan_anew": False})
     np.testing.assert_array_equal(worlds.reset(seed=SEED)[0], twin.reset(seed=SEED)[0])
-    np.testing.assert_array_equal(worlds.step(np.zeros((512, 2)))[0], twin.step(np.zeros((512, 2)))[0])
+    np.testing.assert_array_equal(worlds.step(np.zeros((512, SIZE)))[0], twin.step(np.zeros((512, SIZE)))[0])

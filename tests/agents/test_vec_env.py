@@ -335,7 +335,7 @@ def test_residual_worlds_are_the_vector_environments_step_by_step():
         assert np.array_equal(envs.reset(), worlds.reset(seed=SEED)[0])
         ended, returns = np.zeros(WORLDS, bool), np.zeros(WORLDS)
         while not ended.any():
-            corrections = np.full((WORLDS, 2), 0.2, np.float32)
+            corrections = np.full((WORLDS, 3), 0.2, np.float32)
             features, rewards, ended, infos = envs.step(corrections)
             expected, theirs, _, over, last = worlds.step(corrections)
             returns += rewards

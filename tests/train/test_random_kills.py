@@ -33,7 +33,7 @@ pytestmark = [
 SEED = 21
 PATIENCE = 300.0  # for one run on a busy machine [s]
 OUTLIVE = 5.0  # longest life of what a killed process leaves behind [s]
-EVALUATED, PLANNED, STEPS = 300, 6, 48
+EVALUATED, PLANNED = 300, 6
 EVALUATE = (
     "import sys; from train.evaluation.evaluate import evaluate\n"
     "if __name__ == '__main__':\n"
@@ -56,9 +56,11 @@ cases = make_cases(['throw_and_catch'], ['restitution'], {{'expert.background.pa
 cases = [replace(case, plan=get_plan('throw_and_catch', 'nominal')) for case in cases]
 evaluate_cases(cases, ['expert'], {PLANNED}, out=sys.argv[1], progress=False)
 """
+ITERATIONS = 8
+# An episode asks for two corrections, so an iteration answers 128 of them, or a few more.
 TRAIN = (
-    f"-m train.cli.main train --steps {STEPS} --rollout 8 --batch 8 --checkpoint-every 8 --eval-every 0 --hidden 8 "
-    "--no-progress --no-log"
+    "-m train.cli.main train throw_and_catch --suite all --worlds 64 --group 4 --hidden 8 --batch 32 --threads 2 "
+    f"--steps {128 * ITERATIONS - 64} --eval-every 2 --eval-episodes 40 --report-episodes 0 --no-progress --no-log"
 ).split()
 
 
@@ -202,43 +204,59 @@ def kill_planning(chaos: Chaos, parents: int, planners: int) -> None:
         assert read_rows(out) == wanted  # what a dead planner was asked is asked again
 
 
+def read_weights(out: Path) -> dict[str, bytes]:
+    """Return the tensors that a training left, by their place."""
+    return {str(path.relative_to(out)): path.read_bytes() for path in sorted(out.rglob("*.safetensors"))}
+
+
 def kill_trainings(chaos: Chaos, parents: int) -> None:
-    """Kill trainings, and go on with them to the end."""
-    out = chaos.folder / "train"
+    """Kill trainings, and go on with them to the end: they learn what one learns that nobody kills."""
+    whole, out = chaos.folder / "learned", chaos.folder / "train"
+    finish(*TRAIN, "--out", whole)
+    wanted, evaluations = read_weights(whole), read_training(last_checkpoint(whole) or whole).evaluations
+    last = int(str(last_checkpoint(whole)).rpartition("/")[2])
 
     def count() -> int:
         checkpoint = last_checkpoint(out)
         return int(checkpoint.name) if checkpoint else 0
 
     def make_arguments() -> tuple[Any, ...]:
-        return (*TRAIN, "--out", out, *(("--resume",) if count() else ()))
+        return (*TRAIN, "--out", out, *(("--resume",) if last_checkpoint(out) else ()))
+
+    def check_whole() -> None:
+        assert read_weights(out) == wanted
+        assert read_training(last_checkpoint(out) or out).evaluations == evaluations
+        assert not list((out / "checkpoints").glob(".*"))
 
     goal = len(chaos.kills) + parents
     while len(chaos.kills) < goal:
-        if count() == STEPS:
+        if count() == last:
+            check_whole()
             shutil.rmtree(out)
-        chaos.kill("train: parent", make_arguments(), count, longest=3.0)
+        chaos.kill("train: parent", make_arguments(), count, longest=2.0)
         checkpoint = last_checkpoint(out)
-        if checkpoint:  # whole, and of its steps
-            assert load_policy(checkpoint)[1].steps == read_training(checkpoint).steps == int(checkpoint.name)
-    if count() < STEPS:
+        if checkpoint:  # whole, and of its iteration
+            assert load_policy(checkpoint)[1].steps == read_training(checkpoint).steps
+            assert read_training(checkpoint).iterations == int(checkpoint.name)
+    if count() < last:
         finish(*make_arguments())
-    assert count() == STEPS
-    assert load_policy(out)[1].steps == STEPS
-    assert not list((out / "checkpoints").glob(".*"))
+    check_whole()
 
 
 def kill_all(chaos: Chaos) -> None:
-    """Kill twenty times."""
+    """Kill twenty-six times."""
     kill_evaluations(chaos, 6, 4)
     kill_planning(chaos, 3, 3)
-    kill_trainings(chaos, 4)
+    kill_trainings(chaos, 10)
 
 
-def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kill", "numbers"), [(kill_evaluations, (6, 4)), (kill_planning, (3, 3)), (kill_trainings, (10,))]
+)
+def test_kills_at_random_moments(tmp_path: Path, kill: Callable[..., None], numbers: tuple[int, ...]) -> None:
     chaos = Chaos(tmp_path, random.Random(SEED))
-    kill_all(chaos)
-    assert len(chaos.kills) == 20
+    kill(chaos, *numbers)
+    assert len(chaos.kills) == sum(numbers)
 
 
 if __name__ == "__main__":

@@ -44,7 +44,9 @@ class Command:
     objective: Literal["robustness", "impact_uncertainty"] | None = None
     """Without --plan: what the experts' plans maximise; robustness without."""
     workers: int = 1
-    """Processes."""
+    """Processes; with --batched threads."""
+    batched: bool = False
+    """Play many worlds at once: the same verdicts much sooner, without solve times, effort and replays."""
     out: Path | None = None
     """Folder of rows, summary and replays; a second call with it resumes."""
     json: bool = False
@@ -69,6 +71,7 @@ class Command:
             self.seed,
             self.workers,
             self.out,
+            batched=self.batched,
         )
         if self.out is not None:
             say_written(self.out)

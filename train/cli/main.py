@@ -29,7 +29,9 @@ from planners.errors import PlanningError
 from train.cli.progress import show_planning
 from train.evaluation.errors import Diverged, WorkerLost
 
-COMMANDS = ("list", "plan", "run", "play", "train", "dataset", "evaluate", "report", "reproduce", "demo")
+COMMANDS = (
+    "list", "plan", "run", "play", "train", "tune", "dataset", "evaluate", "compare", "report", "reproduce", "demo",
+)  # fmt: skip
 # Faults of the disk; some libraries do not say of which file.
 DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
@@ -57,9 +59,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit code: 0 done, 1 the thing itself failed, 2 bad input.
     """
-    start = time.perf_counter()
+    start, needed = time.perf_counter(), tuple[str, ...]()
     try:
         command = _parse(sys.argv[1:] if arguments is None else list(arguments))
+        needed = command.extras
         # Solvers and libraries may print; standard output is the result's alone.
         with contextlib.redirect_stdout(sys.stderr), show_planning():
             result = command.run()
@@ -76,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"impact: {error}", file=sys.stderr)
         return 1
     except ModuleNotFoundError as error:
-        missing = describe_missing(error, command.extras)
+        missing = describe_missing(error, needed)
         if missing is None:
             raise
         print(f"impact: {missing}", file=sys.stderr)
@@ -93,7 +96,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             show(result)
     except BrokenPipeError:  # who read it has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return int(result.get("accepted") is False)  # a plan that was checked
+    # A plan that was checked and refused; one that was forced is flown.
+    return int(getattr(command, "check", None) is not None and result["accepted"] is False)
 
 
 def _parse(arguments: list[str]) -> Command:

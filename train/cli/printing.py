@@ -57,7 +57,7 @@ COLUMNS = {
     "restitution_spread": "its spread",
     "drift": "drift [m/s²]",
 }
-SKIPPED = ("scenarios", "rows", "paired", "plans", "domain", "unit")
+SKIPPED = ("scenarios", "rows", "paired", "plans", "domain", "unit", "comparison")
 
 
 def show(result: dict[str, Any]) -> None:
@@ -72,9 +72,9 @@ def show(result: dict[str, Any]) -> None:
         console.print(_scenario_table(result["scenarios"]))
     if "rows" in result:
         table = _evaluation_table(result["rows"])
-        # Rather broken by the terminal than cut.
-        least = Measurement.get(console, console.options.update(max_width=1000), table).minimum
-        console.print(table, width=max(console.width, least), crop=False)
+        _print_whole(console, table)
+    if "comparison" in result:
+        _print_whole(console, _comparison_table(result["comparison"]))
     units = _find_units(result.get("domain", ""))
     lines = _Lines(console, units | ({"robustness": result["unit"]} if "unit" in result else {}))
     for key, value in result.items():
@@ -87,6 +87,12 @@ def show(result: dict[str, Any]) -> None:
         else:
             lines.add(key, value)
     lines.end()
+
+
+def _print_whole(console: Console, table: Table) -> None:
+    """Print a table rather broken by the terminal than cut."""
+    least = Measurement.get(console, console.options.update(max_width=1000), table).minimum
+    console.print(table, width=max(console.width, least), crop=False)
 
 
 class _Lines:
@@ -178,3 +184,35 @@ def _evaluation_table(rows: Sequence[dict[str, Any]]) -> Table:
     for row_cells in cells:
         table.add_row(*map(escape, row_cells))
     return table
+
+
+def _comparison_table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Return the table of `comparison.compare_groups`; bold where a policy surely beats expert and best constant."""
+    table = Table(
+        caption="intervals of 95 % over training seeds and episodes; gains: interquartile means of paired differences; "
+        "bold: surely more than expert and best constant",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    titles = ["scenario", "suite", "policy", "runs", "Success", "Robustness [m]", "Worst 5 % [m]", "Gain [m]"]
+    titles += ["Over the constant [m]", "Better than the expert", "Training CPU [s]"]
+    lines = []
+    for row in rows:
+        rate, (low, high) = row["success_rate"], row["success_ci"]
+        cells = [row["scenario"], row["suite"], Path(row["policy"]).name, str(row["runs"])]
+        cells += [f"{100 * rate:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"]
+        cells += [_with_interval(row, name) for name in ("iqm", "worst", "gain", "gain_over_constant")]
+        cells += [_with_interval(row, "improvement", 2)]
+        lines.append([*cells, UNKNOWN if row["cpu_seconds"] is None else f"{row['cpu_seconds']:.0f}"])
+    for title, texts in zip(titles, zip(*lines, strict=True), strict=True):
+        table.add_column(escape(title), min_width=max(map(len, texts)))  # titles are broken, cells are not
+    for row, cells in zip(rows, lines, strict=True):
+        table.add_row(*map(escape, cells), style="bold" if row["earned"] else None)
+    return table
+
+
+def _with_interval(row: dict[str, Any], name: str, decimals: int = 3) -> str:
+    if row[name] is None:
+        return UNKNOWN
+    low, high = row[f"{name}_ci"]
+    return f"{row[name]:.{decimals}f} [{low:.{decimals}f}, {high:.{decimals}f}]"

@@ -118,7 +118,7 @@ METRICS = (
     ),
     Metric(
         "effort", "N s", lambda episode, scenario: float(episode.effort),
-        (median("effort_median", "Effort"),), required=True, kind=FiniteFloat,
+        (median("effort_median", "Effort"),), required=True, kind=FiniteFloat | None,  # unknown where played in batches
     ),
     Metric(
         "impacts", "", lambda episode, scenario: len(episode.impacts),
@@ -166,7 +166,7 @@ METRICS = (
     ),
     Metric(
         "wall_seconds", "s", lambda episode, scenario: episode.wall_seconds,
-        (mean("wall_seconds_mean"),), kind=FiniteFloat,
+        (mean("wall_seconds_mean"),), kind=FiniteFloat | None,
     ),
 )  # fmt: skip
 

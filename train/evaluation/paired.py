@@ -98,12 +98,18 @@ def summarise_pairs(gains: Sequence[Gain]) -> dict[str, Any]:
 
 
 def compute_interquartile_mean(values: np.ndarray) -> float:
-    """Return the mean of the middle half of some values, shape (n,).
+    """Return the mean of the middle half of some values, shape (n,); see `compute_interquartile_means`."""
+    return float(compute_interquartile_means(values))
+
+
+def compute_interquartile_means(values: np.ndarray) -> np.ndarray:
+    """Return the means of the middle halves of some values, shape (..., n), over the last axis.
 
     Source: Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice" (2021).
     """
-    cut = len(values) // 4
-    return float(np.mean(np.sort(values)[cut : len(values) - cut]))
+    count = values.shape[-1]
+    cut = count // 4
+    return np.mean(np.sort(values, axis=-1)[..., cut : count - cut], axis=-1)
 
 
 def compute_interquartile_error(values: np.ndarray) -> float:

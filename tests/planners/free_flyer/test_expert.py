@@ -52,7 +52,7 @@ class Corrected:
 
     name = "corrected"
 
-    def __init__(self, expert: FreeFlyerExpert, *corrections: tuple[float, float]) -> None:
+    def __init__(self, expert: FreeFlyerExpert, *corrections: tuple[float, float, float]) -> None:
         self.expert, self.corrections = expert, corrections
 
     def reset(self, seed: int) -> None:
@@ -104,7 +104,7 @@ def test_same_seed_same_actions(scenario: FreeFlyerScenario, plan: Plan, nominal
 def test_zero_correction_is_the_expert_and_is_asked_for_once_per_impact(
     scenario: FreeFlyerScenario, plan: Plan, nominal: Episode
 ) -> None:
-    policy = Corrected(FreeFlyerExpert(scenario, plan), (0.0, 0.0))
+    policy = Corrected(FreeFlyerExpert(scenario, plan), (0.0, 0.0, 0.0))
     episode = rollout(parallel_env(scenario), policy, SEED)
     for name, actions in nominal.actions.items():
         np.testing.assert_array_equal(episode.actions[name], actions)
@@ -114,19 +114,20 @@ def test_zero_correction_is_the_expert_and_is_asked_for_once_per_impact(
         assert np.isfinite(features).all()
         assert 0.0 < features[7] <= 8.0 + 1e-6  # time to the impact
     assert [int(np.argmax(features[:6])) for features in policy.features] == [0, 1]
-    assert list(policy.features[0][17:19]) == [1.0, 0.0]  # nothing observed yet
-    assert policy.features[1][17] == pytest.approx(1.0, abs=0.01)  # the throw did what was commanded
-    assert policy.features[1][18] == 1.0
+    assert list(policy.features[0][37:42]) == [1.0, 0.0, 1.0, 0.0, 0.0]  # nothing observed yet
+    # The throw did what was commanded; there is none before it.
+    np.testing.assert_allclose(policy.features[1][37:42], [1.0, 0.0, 1.0, 0.0, 1.0], atol=0.01)
 
 
 def test_observed_ratio_tells_the_true_restitution(scenario: FreeFlyerScenario, plan: Plan) -> None:
-    policy = Corrected(FreeFlyerExpert(scenario, plan), (0.0, 0.0))
+    policy = Corrected(FreeFlyerExpert(scenario, plan), (0.0, 0.0, 0.0))
     rollout(parallel_env(scenario.override({"true.restitution": 0.4})), policy, SEED)
-    assert policy.features[1][17] == pytest.approx(1.4 / 1.8, abs=0.01)
+    assert policy.features[1][37] == pytest.approx(1.4 / 1.8, abs=0.01)
 
 
 def test_correction_scales_and_turns_the_impulse(scenario: FreeFlyerScenario, plan: Plan, nominal: Episode) -> None:
-    policy = Corrected(FreeFlyerExpert(scenario, plan), (-0.6, 0.5), (0.0, 0.0))
+    whole = FreeFlyerExpert(scenario, plan, options=replace(EXPERT, filter=False))
+    policy = Corrected(whole, (-0.6, 0.5, 0.0), (0.0, 0.0, 0.0))
     first, before = rollout(parallel_env(scenario), policy, SEED).impacts[0], nominal.impacts[0]
     assert first.speed == pytest.approx(before.speed * math.exp(-0.3), rel=0.01)
     turned = before.normal[0] * first.normal[1] - before.normal[1] * first.normal[0]
@@ -156,6 +157,22 @@ def test_mirrored_scenario_is_played_mirrored(scenario: FreeFlyerScenario, plan:
         np.testing.assert_allclose(episode.signals[f"{name}.x"], nominal.signals[f"{name}.x"], atol=1e-6)
         np.testing.assert_allclose(episode.signals[f"{name}.y"], middle - nominal.signals[f"{name}.y"], atol=1e-6)
     assert episode.robustness == pytest.approx(nominal.robustness, abs=1e-6)
+
+
+def test_mirrored_corrections_have_the_mirrored_outcome(
+    scenario: FreeFlyerScenario, plan: Plan, nominal: Episode
+) -> None:
+    middle = scenario.world.lower[1] + scenario.world.upper[1]
+    mirrored, other = mirror_scenario(scenario, middle), mirror_plan(plan, middle)
+    corrections = (0.4, -0.5, 0.6), (-0.3, 0.2, 0.0)
+    one = Corrected(FreeFlyerExpert(scenario, plan), *corrections)
+    two = Corrected(FreeFlyerExpert(mirrored, other), *((s, -turn, shift) for s, turn, shift in corrections))
+    a, b = rollout(parallel_env(scenario), one, SEED), rollout(parallel_env(mirrored), two, SEED)
+    for name in scenario.bodies:
+        np.testing.assert_allclose(b.signals[f"{name}.x"], a.signals[f"{name}.x"], atol=1e-6)
+        np.testing.assert_allclose(b.signals[f"{name}.y"], middle - a.signals[f"{name}.y"], atol=1e-6)
+    assert b.robustness == pytest.approx(a.robustness, abs=1e-6)
+    assert abs(a.impacts[0].time - nominal.impacts[0].time) > 1.0
 
 
 def mirror_scenario(scenario: FreeFlyerScenario, middle: float) -> FreeFlyerScenario:
@@ -433,8 +450,10 @@ def test_variants_by_name(scenario: FreeFlyerScenario, plan: Plan) -> None:
 
 
 def test_each_variant_has_one_part_more_than_the_last() -> None:
-    parts = [{name for name, on in vars(options).items() if on is True} for options in VARIANTS.values()]
-    once, paper, weights, *rest = [*parts, {name for name, on in vars(EXPERT).items() if on is True}]
+    every = [*VARIANTS.values(), EXPERT]
+    assert all(options.filter for options in every)  # of a learner, no part of an expert
+    parts = [{name for name, on in vars(options).items() if on is True} - {"filter"} for options in every]
+    once, paper, weights, *rest = parts
     assert once == {"once"}
     assert paper == weights == set()
     assert replace(VARIANTS["paper_expert"], weights=EXPERT.weights) == VARIANTS["with_weights"]
@@ -472,9 +491,9 @@ def test_lqr_tracks_without_counting_as_a_fallback(scenario: FreeFlyerScenario, 
 def test_corrections_out_of_turn_or_shape_are_refused(scenario: FreeFlyerScenario, plan: Plan) -> None:
     expert = FreeFlyerExpert(scenario, plan)
     with pytest.raises(InputError, match="no correction is awaited"):
-        expert.correct(np.zeros(2))
-    with pytest.raises(InputError, match="2 finite numbers"):
         expert.correct(np.zeros(3))
+    with pytest.raises(InputError, match="3 finite numbers"):
+        expert.correct(np.zeros(2))
 
 
 def test_plan_of_something_else_is_refused(scenario: FreeFlyerScenario, plan: Plan) -> None:

@@ -75,12 +75,12 @@ def test_corrections_of_a_batch_are_those_of_single_experts(name: str, suite: st
     pairs = [(parallel_env(world), FreeFlyerExpert(world, plan)) for _ in range(count)]
     seen = [start(env, expert, SEED + k) for k, (env, expert) in enumerate(pairs)]
     joint, rng, answered = vector.reset(seed=SEED)[0], np.random.default_rng(0), 0
-    for _ in range(350):
+    for _ in range(420):  # corrections put impacts off
         due = batch.observe(joint)
         for (_, expert), observations in zip(pairs, seen, strict=True):
             expert.observe(observations)
         while due.any():
-            features, corrections = batch.features(), rng.uniform(-1.0, 1.0, (count, 2))
+            features, corrections = batch.features(), rng.uniform(-1.0, 1.0, (count, 3))
             for k in np.flatnonzero(due).tolist():
                 np.testing.assert_array_equal(features[k], pairs[k][1].features())
                 pairs[k][1].correct(corrections[k])
@@ -103,14 +103,14 @@ def test_corrections_nobody_awaits_are_refused() -> None:
     while not batch.observe(joint).any():
         joint = vector.step(batch.control())[0]
     for corrections, words in (
-        (np.zeros(2), r"corrections of shape \(2,\): finite numbers of shape \(2, 2\) are needed"),
-        (np.full((2, 2), np.inf), r"correction of world 0 must be 2 finite numbers, got \[inf inf\]"),
+        (np.zeros(3), r"corrections of shape \(3,\): finite numbers of shape \(2, 3\) are needed"),
+        (np.full((2, 3), np.inf), r"correction of world 0 must be 3 finite numbers, got \[inf inf inf\]"),
     ):
         with pytest.raises(InputError, match=words):
             batch.correct(both, corrections)
     batch.control()
     with pytest.raises(InputError, match="world 0 awaits no correction now"):
-        batch.correct(both, np.zeros((2, 2)))
+        batch.correct(both, np.zeros((2, 3)))
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])

@@ -4,13 +4,12 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from impact_envs import list_scenarios
-from train import residual
 from train.arguments import Args
 from train.cli.main import main
 
@@ -112,7 +111,7 @@ def test_demo_does_the_main_job(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 1)  # workers take longer to start than to play
     for _ in range(2):  # the second one starts afresh
         shown = result(capsys, "demo", "--episodes", "1", "--out", str(tmp_path / "demo"))
-    assert {name: plan["gap"] for name, plan in shown["plans"].items()} == {"throw_and_catch": 0, "corridor": 0}
+    assert {name: plan["gap"] for name, plan in shown["plans"].items()} == {"throw_and_catch": 0, "pong": 0}
     assert len(shown["rows"]) == 2 * 2 * 3
     assert Path(shown["report"]).is_file()
     rates = [(row["policy"], row["success_rate"]) for row in shown["rows"] if row["suite"] == "all"]
@@ -154,7 +153,10 @@ BAD = {
     "plan folder": (("plan", "corridor", "--out", "no/such/plan.json"), ["no/such"]),
     "report": (("report", "nowhere"), ["nowhere"]),
     "command": (("frobnicate",), ["frobnicate", "plan"]),
-    "algorithm": (("train", "corridor", "--algo", "dqn"), ["dqn", "ppo", "sac"]),
+    "no option": (("train", "corridor", "--algo", "dqn"), ["--algo"]),
+    "training suite": (("train", "corridor", "--suite", "hrad"), ["hrad", "hard"]),
+    "training value": (("train", "corridor", "--set", "expert.filtr=false"), ["filtr", "filter"]),
+    "training worlds": (("train", "corridor", "--worlds", "12"), ["worlds 12", "group 8"]),
     "plan of arms": (("plan", "dual_arm_grasp"), ["dual_arm_grasp", "no plan", "free_flyer"]),
     "Bezier plan of arms": (("plan", "dual_arm_grasp", "--encoding", "bezier"), ["dual_arm_grasp", "no plan"]),
     "arms with a plan": (("run", "dual_arm_grasp", "--plan", "nope.json"), ["dual_arm_grasp", "no plan"]),
@@ -180,9 +182,7 @@ def test_bad_input_is_one_line_and_exit_code_2(case, capsys):
         assert word in err
 
 
-def test_a_file_where_a_folder_belongs_is_one_line(capsys, tmp_path, monkeypatch):
-    make_envs = residual.make_envs
-    monkeypatch.setattr(residual, "make_envs", lambda args, *rest: make_envs(replace(args, subprocesses=False), *rest))
+def test_a_file_where_a_folder_belongs_is_one_line(capsys, tmp_path):
     file = tmp_path / "file"
     file.write_text("kept")
     for arguments in (

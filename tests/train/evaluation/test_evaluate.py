@@ -18,6 +18,7 @@ import pytest
 
 import train.evaluation.player
 from agents.actor import Actor, PolicyRecord, save_policy
+from agents.source import Source
 from impact_envs import InputError, Scenario, load_scenario, parallel_env, rollout
 from planners import make_plan
 from planners.free_flyer.expert import FreeFlyerExpert
@@ -46,17 +47,16 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> EvaluationResult:
 
 def save_checkpoint(folder: Path, output: float = 0.0) -> None:
     """A policy whose correction is always the same; 0 is the expert."""
-    actor = Actor(FreeFlyerExpert.feature_size, 2, (4,))
+    sizes = FreeFlyerExpert.feature_size, FreeFlyerExpert.correction_size
+    actor = Actor(*sizes, ())
     actor.layers[-1].bias.data.fill_(output)
     record = PolicyRecord(
-        scenario="throw_and_catch",
         domain="free_flyer",
-        suite="nominal",
+        sources=(Source(scenario="pong", suite="nominal", environment=None, plan=None),),
         algorithm="ppo",
-        feature_size=FreeFlyerExpert.feature_size,
-        correction_size=2,
-        hidden=(4,),
-        squash="clip",
+        feature_size=sizes[0],
+        correction_size=sizes[1],
+        hidden=(),
         seed=0,
         steps=0,
     )

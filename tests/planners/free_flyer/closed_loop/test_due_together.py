@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,17 +48,17 @@ def run_until_due(world: FreeFlyerScenario, expert: FreeFlyerExpert) -> None:
 
 
 def test_both_are_asked_for_and_both_take_effect(world: FreeFlyerScenario, plan: Plan) -> None:
-    expert = FreeFlyerExpert(world, plan)
+    expert = FreeFlyerExpert(world, plan, options=replace(EXPERT, filter=False))
     run_until_due(world, expert)
     assert expert.memory.time[0] == pytest.approx(DUE)
     strikes, seen = expert.memory.strike[0], []
-    for correction in ((0.5, -0.25), (-1.0, 0.75)):
+    for correction in ((0.5, -0.25, 0.0), (-1.0, 0.75, 0.0)):
         assert expert.awaiting_correction
         seen.append(expert.features())
         expert.correct(np.array(correction))
     assert not expert.awaiting_correction
     with pytest.raises(InputError, match="no correction is awaited now"):
-        expert.correct(np.zeros(2))
+        expert.correct(np.zeros(3))
     assert [tuple(pair) for pair in strikes[["scale", "turn"]].tolist()] == [(0.5, -0.25), (-1.0, 0.75)]
     assert [int(np.argmax(features[:6])) for features in seen] == [0, 1]  # the impacts of the plan
     expert.control()
@@ -67,7 +69,7 @@ def test_both_are_asked_for_and_both_take_effect(world: FreeFlyerScenario, plan:
 def test_one_answer_leaves_the_other_at_zero(world: FreeFlyerScenario, plan: Plan) -> None:
     expert = FreeFlyerExpert(world, plan)
     run_until_due(world, expert)
-    expert.correct(np.array([0.5, 0.5]))
+    expert.correct(np.array([0.5, 0.5, 0.5]))
     expert.control()
     assert not expert.awaiting_correction
     strikes = expert.memory.strike[0]
@@ -80,7 +82,7 @@ def test_zeros_and_what_is_no_number_are_the_expert_bit_for_bit(
     world: FreeFlyerScenario, plan: Plan, answer: float
 ) -> None:
     env, expert = parallel_env(world), FreeFlyerExpert(world, plan)
-    policy = ResidualPolicy(FreeFlyerExpert(world, plan), lambda features: np.full(2, answer))
+    policy = ResidualPolicy(FreeFlyerExpert(world, plan), lambda features: np.full(3, answer))
     plain, corrected = rollout(env, expert, SEED), rollout(env, policy, SEED)
     for agent in world.agents:
         np.testing.assert_array_equal(plain.actions[agent], corrected.actions[agent])
@@ -94,7 +96,7 @@ def test_the_residual_environment_has_a_step_for_each(world: FreeFlyerScenario, 
     _, info = env.reset(seed=SEED)
     before, steps, over = info["control_steps"], [], False
     while not over:
-        _, reward, terminated, truncated, info = env.step(np.zeros(2))
+        _, reward, terminated, truncated, info = env.step(np.zeros(3))
         over = terminated or truncated
         steps.append((info["control_steps"], reward))
     assert before == round(DUE / world.control_period)

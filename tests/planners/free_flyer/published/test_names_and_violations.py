@@ -165,7 +165,7 @@ def test_an_unlawful_plan_is_refused_unless_forced(capsys, plan, tmp_path):
     assert "--force" in err
     assert len(err.strip().splitlines()) == 1
     code, out, err = _run(capsys, "plan", "throw_and_catch", "--check", tmp_path / "wild.json", "--json")
-    assert code == 0, err
+    assert code == 1, err
     said = json.loads(out)
     assert not said["accepted"]
     assert max(one["amount"] for one in said["violations"] if one["kind"] == "impact_law") > 1.0
