@@ -36,9 +36,7 @@ def make_source(scenario: Scenario, suite: str, plan: Plan | None) -> Source:
     shipped = scenario.name in list_scenarios()
     environment = gym_id(scenario.name, residual=True) if shipped else None
     digest = compute_digest(plan)
-    return Source(
-        scenario=scenario.name, suite=suite, environment=environment, horizon=scenario.horizon, plan=digest
-    )
+    return Source(scenario=scenario.name, suite=suite, environment=environment, horizon=scenario.horizon, plan=digest)
 
 
 def compute_digest(plan: Plan | None) -> str | None:
