@@ -92,7 +92,8 @@ def _play_chunk(
     while (awaiting := decisions.awaiting_correction & used).any():
         chosen = np.flatnonzero(awaiting)
         seen = worlds.experts.features()[chosen]
-        answer = np.asarray(choose(seen, start + chosen), float)
+        answer = np.array(choose(seen, start + chosen), float)
+        answer[~np.isfinite(answer).all(axis=1)] = 0.0  # no answer counts as zero, as in ResidualPolicy
         given = np.zeros((count, size))
         given[chosen] = np.clip(answer, -1.0, 1.0)
         decisions.answer(awaiting, given)

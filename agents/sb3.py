@@ -123,6 +123,8 @@ def explore(model: PPO, normalized: np.ndarray) -> np.ndarray:
     """
     with torch.no_grad(), _refuse_infinity():
         actions, _, _ = model.policy(torch.from_numpy(normalized))
+    if not torch.isfinite(actions).all():
+        raise FloatingPointError("predictions are not finite")
     return actions.numpy()
 
 

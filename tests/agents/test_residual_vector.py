@@ -211,6 +211,7 @@ def step_for_ever(worlds: ResidualVectorEnv) -> None:
 
 def test_ctrl_c_is_answered_while_worlds_run() -> None:
     """A whole episode of 512 worlds takes seconds; whoever interrupts has to reset."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
     worlds = make("pong", worlds=512, threads=2, options={"plan_anew": False})
     worlds.reset(seed=SEED)
     timer = threading.Timer(0.3, signal.raise_signal, [signal.SIGINT])
