@@ -166,7 +166,7 @@ def residual(name, checkpoint):
 
 
 PLANNED = ("throw_and_catch", "corridor")
-DISTURBED["corridor"] = "hard"
+DISTURBED |= {"corridor": "hard", "pong": "hard"}
 MAKERS = {
     **{f"ParallelEnv {name}": lambda name=name: Parallel(parallel_env(load(name))) for name in DISTURBED},
     "JointEnv": lambda: Environment(gymnasium.make("impact_envs/ThrowAndCatch-v1")),

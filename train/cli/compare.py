@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from tyro.conf import Positional
 
@@ -23,6 +23,7 @@ COLUMNS = ["scenario", "suite", "policy", "seed", "robustness", "success"]
 class Command:
     """Compare learned policies of several training seeds with the expert and the best constant."""
 
+    extras: ClassVar[tuple[str, ...]] = ("plan", "learn", "report")
     folders: Positional[tuple[Path, ...]]
     """Folders that impact evaluate --out wrote; policies named .../seed0, .../seed1, ... are runs of one."""
     constant: str | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import OmitArgPrefixes
 
@@ -14,6 +14,7 @@ from train.arguments import TuneArgs
 class Command:
     """Find the best constant correction to the expert, which a learned policy must beat."""
 
+    extras: ClassVar[tuple[str, ...]] = ("plan", "learn")
     args: OmitArgPrefixes[TuneArgs] = field(default_factory=TuneArgs)
     json: bool = False
 

@@ -224,7 +224,7 @@ def test_actions_are_the_scaled_controls():
     q, v = measured.q, measured.v
     vector[:4] = q[0], q[1], math.cos(q[2]), math.sin(q[2])
     vector[4:10], vector[10:13] = [*q[3:], *v[:3]], v[3:]
-    vector[-3] = measured.time / scenario.horizon
+    vector[make_layout(scenario)["time"]] = measured.time / scenario.horizon
     expert = FloatingManipulatorExpert(scenario)
     expert.take_measurement(measured)
     controls = expert.compute_controls()
@@ -232,7 +232,7 @@ def test_actions_are_the_scaled_controls():
     assert actions.keys() == {"arm", "base"}
     np.testing.assert_allclose(actions["arm"], np.clip(controls["arm"] / 42.0, -1, 1), atol=1e-12)
     assert not actions["base"].any()
-    vector[-4] = 1.0  # an impact is felt: the base brakes what it has
+    vector[make_layout(scenario)["contact"]] = 1.0  # an impact is felt: the base brakes what it has
     braking = FloatingManipulatorExpert(scenario, "published").act({"arm": vector, "base": vector})["base"]
     np.testing.assert_allclose(braking, -0.75 * 0.05 * np.array([1.0, 1.0, 200.0 / 60.0]), atol=1e-12)
 

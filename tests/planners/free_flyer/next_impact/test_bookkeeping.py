@@ -295,7 +295,7 @@ def test_after_an_inserted_impact_the_planned_one_is_still_to_come(loop: Loop) -
 
 def test_what_was_learned_waits_for_the_velocity_and_ends_with_the_next_contact(loop: Loop) -> None:
     """The robot approaches at 0.1 m/s, which is believed to give 0.09 m/s; it gives 0.07."""
-    set_fields(loop.strike[0], is_solved=True, change=0.08)  # the expert asked for 0.08 m/s
+    set_fields(loop.strike[0], is_solved=True, change=0.08, normal=(1.0, 0.0))  # the expert asked for 0.08 m/s
     loop.see_at(10.0, POP, (0, 0), (0.01, 0.02))
     remember_before(loop.table, loop.memory, K)
     loop.feel(SNAP, 0.1)
@@ -305,9 +305,9 @@ def test_what_was_learned_waits_for_the_velocity_and_ends_with_the_next_contact(
         loop.see_at(now, POP, (0, 0), (0.01 + speed, 0.02))
         learn_from_hits(loop.table, loop.memory, OPTIONS, K, now)
         if now < 11.0:
-            assert loop.hit[0]["ratio"] == 0.0
+            assert not loop.hit[0]["is_seen"]
             assert loop.gain(SNAP, 0) == pytest.approx(0.9)
-    assert loop.hit[0]["ratio"] == pytest.approx(0.07 / 0.08)
+    assert np.hypot(*loop.hit[0]["observed"]) == pytest.approx(0.07 / 0.08)
     assert loop.hit[0]["seen"] == 1
     assert loop.gain(SNAP, 0) == pytest.approx(0.7, abs=0.02)  # what is seen counts more than what was believed
     assert compute_gain_spread(loop.memory, OPTIONS, K, SNAP, 0) < 0.4 * before
@@ -315,7 +315,7 @@ def test_what_was_learned_waits_for_the_velocity_and_ends_with_the_next_contact(
     loop.contact(CRACKLE, POP, 13.0)  # not the planned time: a disturbance
     loop.see_at(15.0, POP, (0, 0), (0.3, 0.0))
     learn_from_hits(loop.table, loop.memory, OPTIONS, K, 15.0)
-    assert loop.hit[0]["ratio"] == pytest.approx(0.07 / 0.08)
+    assert np.hypot(*loop.hit[0]["observed"]) == pytest.approx(0.07 / 0.08)
     assert loop.gain(SNAP, 0) == learned
 
 
@@ -334,13 +334,13 @@ def test_drift_is_not_blamed_on_the_impact(loop: Loop) -> None:
 
 
 def test_variants_without_learning_keep_what_is_believed(loop: Loop) -> None:
-    set_fields(loop.strike[0], is_solved=True, change=0.09)
+    set_fields(loop.strike[0], is_solved=True, change=0.09, normal=(1.0, 0.0))
     loop.feel(SNAP, 0.1)
     loop.contact(SNAP, POP, 10.0)
     loop.see_at(12.0, POP, (0, 0), (0.05, 0.0))
     learn_from_hits(loop.table, loop.memory, make_record(VARIANTS["paper_expert"])[0], K, 12.0)
     assert loop.gain(SNAP, 0) == pytest.approx(0.9, abs=1e-12)
-    assert loop.hit[0]["ratio"] == pytest.approx(0.05 / 0.09)  # it is seen all the same, for learners
+    assert np.hypot(*loop.hit[0]["observed"]) == pytest.approx(0.05 / 0.09)  # it is seen all the same, for learners
 
 
 def test_desired_velocity_leads_to_the_target_under_drift() -> None:
