@@ -148,6 +148,7 @@ def main(args: Args) -> dict[str, Any]:
     """
     start = time.perf_counter()
     check_args(args)
+    make_case(args.scenario, args.suite, parse_settings(args.set))  # refused before anything is written
     torch.set_num_threads(1)
     with lock_folder(args.out):
         check_run(args)

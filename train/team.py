@@ -285,6 +285,8 @@ def main(args: Args) -> dict[str, Any]:
     check_args(args)
     torch.set_num_threads(1)
     scenario = load_scenario(args.scenario).suite(args.suite)
+    if args.init is not None:
+        load_shared(args.init)  # refused before anything is written
     with lock_folder(args.out), show_progress(round(60 * args.minutes), args.progress) as watch:
         if (args.out / "curve.json").exists():
             raise InputError(f"out {args.out}: holds a run; choose another")
