@@ -57,6 +57,8 @@ class Args:
     """A failure counts no more than so many times the expert's median robustness."""
     cut: float = 1.0
     """Two episodes of a seed differ by no more than so many times the expert's median robustness."""
+    failure: float = 2.0
+    """Cost of a failure beside its robustness, times the expert's median robustness."""
     eval_every: int = 5
     """Iterations between two evaluations on tuning seeds; 0: never, and the last policy is kept."""
     eval_episodes: int = 200
@@ -111,6 +113,8 @@ class TuneArgs:
     """Seeds for the report on what was chosen; 0: none."""
     worst: float = 2.0
     """A failure counts no more than so many times the expert's median robustness."""
+    failure: float = 2.0
+    """Cost of a failure beside its robustness, times the expert's median robustness."""
     worlds: int = 512
     """Episodes that are played at a time, over all scenarios and suites."""
     threads: int | None = None

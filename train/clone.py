@@ -49,15 +49,15 @@ from agents.shared_actor import (
 from agents.source import Source, make_source
 from impact_envs.errors import InputError
 from planners import check_options, has_planner, list_options, make_expert_batch, make_plan
-from train.evaluation.case import make_case
+from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS, make_case
 from train.evaluation.errors import Diverged
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
+from train.limits import check_hidden, check_least, check_ranges, check_same
 from train.settings import parse_settings
 from train.watch import Watch, run_script, show_progress
 
 # Seeds of selection and of the report on what was selected; evaluation seeds start at 2,000,000.
-TUNING_SEEDS, REPORT_SEEDS = 1_000_000, 1_500_000
 EXAMPLES, DESCRIPTION = "examples.safetensors", "iteration.json"
 # Arguments that decide what a checkpoint means; a resumed run must have the same.
 FIXED = ("scenario", "suite", "seed", "variant", "set", "worlds", "beta", "hold", "noise", "hidden", "waves",
@@ -175,16 +175,11 @@ def check_args(args: Args) -> None:
     Raises:
         InputError: one line naming the argument, its value and the limit.
     """
-    for name, least in (("iterations", 1), ("seed", 0), ("worlds", 1), ("threads", 1), ("waves", 0), ("fit_steps", 1),
-                        ("batch", 1), ("eval_episodes", 1), ("report_episodes", 0)):  # fmt: skip
-        if getattr(args, name) < least:
-            raise InputError(f"{name} {getattr(args, name)} is too small; choices: {least}, {least + 1}, ...")
-    for name, low, high in (("beta", 0.0, 1.0), ("hold", 0.0, 1e6), ("noise", 0.0, 1.0), ("least_spread", 1e-6, 1e6),
-                            ("learning_rate", 0.0, 1.0), ("loss_width", 1e-6, 1.0)):  # fmt: skip
-        if not low <= (value := getattr(args, name)) <= high:
-            raise InputError(f"{name} {value:g}: choices: from {low:g} to {high:g}")
-    if not args.hidden or min(args.hidden) < 1:
-        raise InputError(f"hidden {list(args.hidden)}: every layer needs a width of at least 1")
+    least = {"iterations": 1, "worlds": 1, "threads": 1, "fit_steps": 1, "batch": 1, "eval_episodes": 1}
+    check_least(args, least | {"seed": 0, "waves": 0, "report_episodes": 0})
+    shares = {"beta": (0.0, 1.0), "noise": (0.0, 1.0), "learning_rate": (0.0, 1.0), "loss_width": (1e-6, 1.0)}
+    check_ranges(args, shares | {"hold": (0.0, 1e6), "least_spread": (1e-6, 1e6)})
+    check_hidden(args.hidden)
 
 
 def check_run(args: Args) -> None:
@@ -199,12 +194,8 @@ def check_run(args: Args) -> None:
     if held and not args.resume:
         raise InputError(f"out {args.out}: holds a run of {len(held)} iterations; resume it or choose another")
     if held:
-        before, now = read_record(held[-1] / DESCRIPTION, IterationRecord).run, describe_args(args)
-        for key in FIXED:
-            if before.get(key) != now[key]:
-                raise InputError(
-                    f"{held[-1]}: was made with {key} {before.get(key)}; cannot be resumed with {now[key]}"
-                )
+        before = read_record(held[-1] / DESCRIPTION, IterationRecord).run
+        check_same(held[-1], before, describe_args(args), FIXED)
 
 
 def list_iterations(out: Path) -> list[Path]:

@@ -17,8 +17,7 @@ from __future__ import annotations
 import math
 import shutil
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,6 @@ from stable_baselines3.common.utils import set_random_seed
 from agents.actor import Actor, PolicyRecord, save_policy
 from agents.play import Played, play_episodes
 from agents.residual import TRAINING_SEEDS
-from agents.residual_vector import ResidualVectorEnv
 from agents.sb3 import (
     LearningOptions,
     Statistics,
@@ -42,42 +40,21 @@ from agents.sb3 import (
     make_model,
     update,
 )
-from agents.source import Source, make_source
 from agents.training_state import load_training, read_training, save_training
 from impact_envs.errors import InputError
-from planners import check_options, has_planner, list_options, make_plan
 from train.arguments import Args
-from train.evaluation.case import Case, check_names, make_case
+from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.errors import Diverged
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
-from train.evaluation.paired import Gain, compute_gain, summarise_pairs
-from train.settings import parse_settings
+from train.ground import DEFAULT_SUITE, Ground, compute_scores, judge, make_grounds, read_cases
+from train.limits import check_hidden, check_least, check_ranges, check_same
+from train.settings import list_settings
 from train.watch import Watch, run_script, show_progress
 
-# Seeds of selection and of the report on what was selected; evaluation seeds start at 2,000,000.
-TUNING_SEEDS, REPORT_SEEDS = 1_000_000, 1_500_000
-DEFAULT_SUITE = "hard"
 LEAST_LOSS = 0.01  # of success: a policy that loses more than this on the tuning seeds is not kept
 # Arguments that decide what a checkpoint means; a resumed run must have the same.
-FIXED = ("scenarios", "suite", "seed", "variant", "set", "worlds", "group", "hidden", "worst", "cut")
-
-
-@dataclass
-class Ground:
-    """A scenario in a suite to train in.
-
-    Attributes:
-        source: its description.
-        worlds: with the expert.
-        scale: unit of the robustness in scores: the median of the expert's, or of its size [m].
-        reference: the expert's episodes by their first seed, played once.
-    """
-
-    source: Source
-    worlds: ResidualVectorEnv
-    scale: float
-    reference: dict[int, Played]
+FIXED = ("scenarios", "suite", "seed", "variant", "set", "worlds", "group", "hidden", "worst", "cut", "failure")
 
 
 def main(args: Args) -> dict[str, Any]:
@@ -133,25 +110,13 @@ def check_args(args: Args) -> None:
         InputError: one line naming the argument, its value and the limit.
     """
     least = {"steps": 1, "seed": 0, "group": 2, "worlds": 2, "batch": 2, "epochs": 1, "threads": 1}
-    for name, low in (least | {"eval_every": 0, "eval_episodes": 2, "report_episodes": 0}).items():
-        if getattr(args, name) is not None and getattr(args, name) < low:
-            raise InputError(f"{name} {getattr(args, name)} is too small; choices: {low}, {low + 1}, ...")
-    ranges = (
-        ("learning_rate", 0.0, 1.0),
-        ("log_std", -20.0, 2.0),
-        ("clip", 0.0, 1.0),
-        ("worst", 0.0, 1e6),
-        ("cut", 1e-6, 1e6),
-        ("entropy", 0.0, 1.0),
-        ("target_kl", 1e-6, 1e6),
-    )
-    for name, lowest, highest in ranges:
-        if (value := getattr(args, name)) is not None and not lowest <= value <= highest:
-            raise InputError(f"{name} {value:g}: choices: from {lowest:g} to {highest:g}")
+    check_least(args, least | {"eval_every": 0, "eval_episodes": 2, "report_episodes": 0})
+    shares = dict.fromkeys(("learning_rate", "clip", "entropy"), (0.0, 1.0))
+    sizes = {"worst": (0.0, 1e6), "failure": (0.0, 1e6), "cut": (1e-6, 1e6), "target_kl": (1e-6, 1e6)}
+    check_ranges(args, shares | sizes | {"log_std": (-20.0, 2.0)})
     if args.eval_episodes > REPORT_SEEDS - TUNING_SEEDS:
         raise InputError(f"eval_episodes {args.eval_episodes}: there are {REPORT_SEEDS - TUNING_SEEDS} tuning seeds")
-    if not args.hidden or min(args.hidden) < 1:
-        raise InputError(f"hidden {list(args.hidden)}: every layer needs a width of at least 1")
+    check_hidden(args.hidden)
     share = len(args.scenarios) * len(args.suite or (DEFAULT_SUITE,)) * args.group
     if share == 0 or args.worlds % share:
         raise InputError(
@@ -176,10 +141,7 @@ def check_run(args: Args) -> None:
     if held is not None and not args.resume:
         raise InputError(f"out {args.out}: holds a run of {int(held.name)} iterations; resume it or choose another")
     if held is not None:
-        before, now = read_training(held).run, list_settings(asdict(args))
-        for key in FIXED:
-            if before.get(key) != now[key]:
-                raise InputError(f"{held}: was made with {key} {before.get(key)}; cannot be resumed with {now[key]}")
+        check_same(held, read_training(held).run, list_settings(asdict(args)), FIXED)
 
 
 def check_evaluations(checkpoint: Path, evaluations: list[dict[str, Any]]) -> None:
@@ -207,55 +169,6 @@ def last_checkpoint(out: Path) -> Path | None:
     """
     folders = [path for path in (out / "checkpoints").glob("*") if path.name.isdecimal()]
     return max(folders, key=lambda path: int(path.name), default=None)
-
-
-def read_cases(args: Args) -> list[Case]:
-    """Read every scenario in every suite.
-
-    Args:
-        args: arguments of the run.
-
-    Raises:
-        InputError: an unknown scenario, suite, variant or value.
-    """
-    suites, settings = args.suite or (DEFAULT_SUITE,), parse_settings(args.set)
-    check_names("suite", suites)
-    check_names("scenario", args.scenarios)
-    cases = [make_case(scenario, suite, settings) for scenario in args.scenarios for suite in suites]
-    for case in cases:
-        check_options(case.scenario, case.options, args.variant)
-    return cases
-
-
-def make_grounds(args: Args, cases: Sequence[Case]) -> list[Ground]:
-    """Make the worlds of every scenario and suite.
-
-    Args:
-        args: arguments of the run.
-        cases: scenarios in their suites.
-
-    Raises:
-        InputError: scenarios of different experts.
-        PlanningError: an expert found no plan.
-    """
-    count, grounds, plans = args.worlds // len(cases), list[Ground](), dict[str, Any]()
-    for case in cases:
-        scenario, options = case.scenario, dict(case.options)
-        if not args.plan_anew and args.variant is None and "plan_anew" in list_options(scenario):
-            options.setdefault("plan_anew", False)
-        believed = scenario.as_believed().model_dump_json()  # a suite may shorten the horizon
-        if has_planner(scenario) and believed not in plans:
-            plans[believed] = make_plan(scenario)
-        plan = plans.get(believed)
-        worlds = ResidualVectorEnv(
-            scenario, count, plan=plan, options=options or None, threads=args.threads, variant=args.variant
-        )
-        grounds.append(Ground(make_source(scenario, case.suite, plan), worlds, 1.0, {}))
-    sizes = {(g.worlds.experts.feature_size, g.worlds.experts.correction_size): g.source.scenario for g in grounds}
-    if len(sizes) > 1:
-        names = " and ".join(sizes.values())
-        raise InputError(f"scenarios {names} have experts of different features or corrections: train them apart")
-    return grounds
 
 
 class Run:
@@ -347,9 +260,7 @@ class Run:
             count = ground.worlds.num_envs
             seeds = np.repeat(draw.integers(TRAINING_SEEDS, size=count // args.group), args.group)
             played = play_episodes(ground.worlds, seeds, self._explore)
-            advantages = compute_advantages(
-                compute_scores(played.robustness, ground.scale, args.worst), args.group, args.cut
-            )
+            advantages = compare_episodes(args, played, ground.scale)
             scores.append(played)
             rows.append((self.statistics.normalize(played.features), played.corrections, advantages[played.episode]))
         features, corrections, advantages = (np.concatenate(part) for part in zip(*rows, strict=True))
@@ -448,37 +359,16 @@ class Run:
         save_policy(folder, actor, record)
 
 
-def judge(grounds: list[Ground], actor: Actor, first: int, episodes: int, worst: float) -> dict[str, Any]:
-    """Pair a policy with the expert on some seeds of every ground.
+def compare_episodes(args: Args, played: Played, scale: float) -> np.ndarray:
+    """Return how much better each episode was than the others with its seed, in robustness and success, shape (E,).
 
     Args:
-        grounds: to play in; the expert's episodes are played once for all policies.
-        actor: the policy.
-        first: of the seeds.
-        episodes: of each ground; without any, nothing is returned.
-        worst: a failure counts no more than so many times the scale of its ground.
+        args: of the run: how episodes are weighed.
+        played: E episodes, those of one seed in a row.
+        scale: unit of robustness [m].
     """
-    if episodes == 0:
-        return {}
-    gains, sources, seeds = list[Gain](), [], np.arange(first, first + episodes)
-    for ground in grounds:
-        if first not in ground.reference:
-            ground.reference[first] = play_episodes(ground.worlds, seeds)
-        expert, played = ground.reference[first], play_episodes(ground.worlds, seeds, actor.correction)
-        gains.append(compute_gain(played, expert, worst * ground.scale, ground.scale))
-        sources.append({"scenario": ground.source.scenario, "suite": ground.source.suite, **asdict(gains[-1])})
-    return {**summarise_pairs(gains), "sources": sources}
-
-
-def compute_scores(robustness: np.ndarray, scale: float, worst: float) -> np.ndarray:
-    """Return what an episode is worth to the learner: max(rho / scale, -worst), shape (E,).
-
-    Args:
-        robustness: rho, shape (E,) [m].
-        scale: unit [m].
-        worst: a failure counts no more than this.
-    """
-    return np.maximum(robustness / scale, -worst)
+    better = compute_advantages(compute_scores(played.robustness, scale, args.worst), args.group, args.cut)
+    return better + args.failure * compute_advantages(played.success.astype(float), args.group)
 
 
 def rate_evaluation(evaluation: dict[str, Any]) -> float:
@@ -494,17 +384,6 @@ def describe_evaluation(evaluation: dict[str, Any]) -> str:
         f"(expert {100 * evaluation['expert_success_rate']:.1f} %), gain {evaluation['gain']:+.4f} m "
         f"(surely {evaluation['low']:+.4f})"
     )
-
-
-def list_settings(args: dict[str, Any]) -> dict[str, Any]:
-    """Return the arguments of a run as JSON values."""
-    return {key: _plain(value) for key, value in args.items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Path):
-        return str(value)
-    return list(value) if isinstance(value, tuple) else value
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from impact_envs.errors import InputError
@@ -32,3 +33,14 @@ def _parse_assignment(text: str) -> tuple[str, Any]:
     except (ValueError, RecursionError):  # a number of thousands of digits, lists in thousands of lists
         raise InputError(f"--set {key.strip()}: too many digits, or nested too deeply: {value:.60}") from None
     return key.strip(), table["value"] if table.keys() == {"value"} else value.strip()
+
+
+def list_settings(args: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a run as JSON values."""
+    return {key: _plain(value) for key, value in args.items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Path):
+        return str(value)
+    return list(value) if isinstance(value, tuple) else value

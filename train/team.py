@@ -40,12 +40,12 @@ from agents.vec_env import ImpactVecEnv
 from impact_envs.errors import InputError, choices
 from impact_envs.reward import PROGRESS, ROBUSTNESS
 from impact_envs.scenario import Scenario, load_scenario
+from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
+from train.limits import check_hidden, check_least
 from train.watch import Watch, run_script, show_progress
 
-# Seeds of training, of selection and of the report on what was selected; evaluation seeds start at 2,000,000.
-TRAINING_SEEDS, TUNING_SEEDS, REPORT_SEEDS = 0, 1_000_000, 1_500_000
 GAMMAS = {ROBUSTNESS: 1.0, PROGRESS: 0.999}  # that impact_envs.reward names
 
 
@@ -317,14 +317,11 @@ def check_args(args: Args) -> None:
     """
     if args.reward not in GAMMAS:
         raise InputError(f"reward '{args.reward}' is unknown; {choices(args.reward, GAMMAS)}")
-    for name in ("worlds", "threads", "parts", "epochs", "eval_every", "eval_episodes"):
-        if getattr(args, name) < 1:
-            raise InputError(f"{name} {getattr(args, name)} is too small; choices: 1, 2, ...")
+    check_least(args, dict.fromkeys(("worlds", "threads", "parts", "epochs", "eval_every", "eval_episodes"), 1))
     for name in ("minutes", "reach"):
         if not getattr(args, name) > 0.0:
             raise InputError(f"{name} {getattr(args, name):g}: choices: above 0")
-    if not args.hidden or min(args.hidden) < 1:
-        raise InputError(f"hidden {list(args.hidden)}: every layer needs a width of at least 1")
+    check_hidden(args.hidden)
 
 
 def make_model(args: Args, scenario: Scenario) -> tuple[PPO, Actor, SharedRecord]:
@@ -343,7 +340,7 @@ def make_model(args: Args, scenario: Scenario) -> tuple[PPO, Actor, SharedRecord
     layout = find_layout(scenario)
     worlds = ImpactVecEnv(scenario, args.worlds, True, None, "float64", args.threads, args.reward)
     place = layout["time"].start
-    worlds.seed(TRAINING_SEEDS + 10_000 * args.seed)
+    worlds.seed(10_000 * args.seed)
     observations, states = watch_random(worlds, args.seed)
     if args.init is None:
         features = add_waves(observations, place, args.waves)

@@ -27,18 +27,12 @@ from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from impact_envs.scenario import load_scenario
 from train.arguments import Args, TuneArgs
+from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions
-from train.residual import (
-    REPORT_SEEDS,
-    TUNING_SEEDS,
-    Ground,
-    compute_scores,
-    judge,
-    list_settings,
-    make_grounds,
-    read_cases,
-)
+from train.ground import DEFAULT_SUITE, Ground, compute_scores, judge, make_grounds, read_cases
+from train.limits import check_least, check_ranges
+from train.settings import list_settings
 from train.watch import Watch, run_script, show_progress
 
 # Seeds on which the last choice is made; the search itself plays those from TUNING_SEEDS on.
@@ -63,7 +57,7 @@ def main(args: TuneArgs) -> dict[str, Any]:
     start = time.perf_counter(), time.process_time()
     check_args(args)
     numbers = count_numbers(args)
-    suites = args.suite or ("hard",)
+    suites = args.suite or (DEFAULT_SUITE,)
     share = len(args.scenarios) * len(suites)
     ground = Args(
         scenarios=args.scenarios, suite=suites, set=args.set, plan_anew=args.plan_anew, variant=args.variant,
@@ -103,13 +97,9 @@ def check_args(args: TuneArgs) -> None:
         InputError: one line naming the argument, its value and the limit.
     """
     least = {"population": 2, "elites": 1, "episodes": 1, "generations": 1, "finalists": 1, "final_episodes": 2}
-    for name, low in (least | {"seed": 0, "report_episodes": 0, "worlds": 1}).items():
-        if getattr(args, name) < low:
-            raise InputError(f"{name} {getattr(args, name)} is too small; choices: {low}, {low + 1}, ...")
-    ranges = (("spread", 1e-6, 1.0), ("least_spread", 0.0, 1.0), ("step", 1e-3, 1.0), ("worst", 0.0, 1e6))
-    for name, lowest, highest in ranges:
-        if not lowest <= (value := getattr(args, name)) <= highest:
-            raise InputError(f"{name} {value:g}: choices: from {lowest:g} to {highest:g}")
+    check_least(args, least | {"seed": 0, "report_episodes": 0, "worlds": 1})
+    shares = {"spread": (1e-6, 1.0), "least_spread": (0.0, 1.0), "step": (1e-3, 1.0)}
+    check_ranges(args, shares | {"worst": (0.0, 1e6), "failure": (0.0, 1e6)})
     if args.elites > args.population:
         raise InputError(f"elites {args.elites}: there are {args.population} candidates in a generation")
     if (wanted := args.generations * args.episodes) > FINAL_SEEDS - TUNING_SEEDS:
@@ -211,7 +201,7 @@ def score(args: TuneArgs, grounds: list[Ground], candidates: np.ndarray, numbers
     total = np.zeros(len(candidates))
     for ground in grounds:
         played: Played = play_each(ground.worlds, seeds, choose)
-        scores = compute_scores(played.robustness, ground.scale, args.worst)
+        scores = compute_scores(played.robustness, ground.scale, args.worst) + args.failure * played.success
         total += scores.reshape(len(candidates), -1).mean(axis=1)
     return total / len(grounds)
 

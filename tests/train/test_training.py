@@ -24,21 +24,13 @@ from agents.training_state import read_training
 from impact_envs import InputError, load_scenario, parallel_env, rollout
 from impact_envs.scenario import Scenario
 from planners.plan import Plan
-from train import residual
+from train import ground, residual
 from train.cli.main import main as run_command
-from train.evaluation.case import EVALUATION_SEEDS
+from train.evaluation.case import EVALUATION_SEEDS, REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.errors import Diverged
 from train.evaluation.paired import QUANTILE, Gain, compute_gain, compute_interquartile_mean, summarise_pairs
-from train.residual import (
-    LEAST_LOSS,
-    REPORT_SEEDS,
-    TUNING_SEEDS,
-    Args,
-    check_evaluations,
-    compute_scores,
-    main,
-    rate_evaluation,
-)
+from train.ground import compute_scores
+from train.residual import LEAST_LOSS, Args, check_evaluations, compare_episodes, main, rate_evaluation
 
 SCORED = {"iterations": 0, "low": 0.0, "success_rate": 1.0, "expert_success_rate": 1.0}
 STEPS = 96  # three iterations and a bit: an episode of throw_and_catch asks for two corrections
@@ -49,7 +41,7 @@ PLANS: dict[tuple[str, float], Plan] = {}
 
 @pytest.fixture(autouse=True)
 def _plan_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(residual, "make_plan", plan_once)
+    monkeypatch.setattr(ground, "make_plan", plan_once)
 
 
 def plan_once(scenario: Scenario) -> Plan:
@@ -95,7 +87,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A run that nobody interrupts."""
     out = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(residual, "make_plan", plan_once)
+        patch.setattr(ground, "make_plan", plan_once)
         main(make_args(out))
         yield out
 
@@ -160,7 +152,7 @@ def test_a_worse_policy_does_not_replace_a_better_one(
     """Gains are made up: each evaluation is worse than the one before, or better."""
     lows = iter(range(0, -100, -1) if worse else range(100))
     monkeypatch.setattr(
-        residual, "summarise_pairs", lambda gains: summarise_pairs(gains) | SCORED | {"low": float(next(lows))}
+        ground, "summarise_pairs", lambda gains: summarise_pairs(gains) | SCORED | {"low": float(next(lows))}
     )
     result = main(make_args(tmp_path))
     assert load_policy(tmp_path)[1].steps == result["eval"]["steps"] == (0 if worse else result["steps"])
@@ -183,7 +175,8 @@ def seeds(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
         found.append(np.asarray(seeds))
         return play_episodes(worlds, seeds, choose)
 
-    monkeypatch.setattr(residual, "play_episodes", play)
+    for module in (ground, residual):
+        monkeypatch.setattr(module, "play_episodes", play)
     return found
 
 
@@ -240,7 +233,7 @@ class Interruption:
 
 MOMENTS = [
     (residual, "play_episodes", 4),
-    (residual, "play_episodes", 6),
+    (ground, "play_episodes", 4),
     (residual, "update", 1),
     (residual, "update", 3),
     (residual, "export_actor", 3),
@@ -328,7 +321,7 @@ def test_values_of_the_expert_and_of_the_world_can_be_changed(tmp_path: Path, mo
             made.append({"scenario": scenario, **options})
             super().__init__(scenario, *arguments, **options)
 
-    monkeypatch.setattr(residual, "ResidualVectorEnv", Worlds)
+    monkeypatch.setattr(ground, "ResidualVectorEnv", Worlds)
     settings = ("expert.filter=false", "true.restitution=0.5")
     result = main(make_args(tmp_path, steps=1, set=settings, eval_episodes=2, eval_every=1, log_std=1.0))
     assert made[0]["options"] == {"filter": False, "plan_anew": False}
@@ -439,7 +432,7 @@ def test_a_training_that_diverges_says_so_in_one_line(
         main(make_args(tmp_path))
     assert str(caught.value).isprintable()
     monkeypatch.undo()
-    monkeypatch.setattr(residual, "make_plan", plan_once)
+    monkeypatch.setattr(ground, "make_plan", plan_once)
     assert main(make_args(tmp_path, steps=1, resume=True))["steps"] >= 1
 
 
@@ -514,3 +507,12 @@ def test_sources_are_averaged_in_their_units() -> None:
     error = 0.6 * np.hypot(0.03, 0.05) / 2
     assert found["low"] == pytest.approx(found["gain"] - QUANTILE * error)
     assert (found["success_rate"], found["filtered"]) == (0.9, 0.25)
+
+
+def test_of_equal_robustness_the_failed_episode_is_worse_by_the_cost_of_a_failure() -> None:
+    success = np.array([True, True, True, False, True, True, True, True])
+    none = np.zeros((0, 1))
+    played = Played(np.full(8, 0.2), success, none, none, np.zeros(0, int), 0.0)
+    found = compare_episodes(Args(group=4, failure=3.0), played, 0.2)
+    np.testing.assert_allclose(found, [1.0, 1.0, 1.0, -3.0, 0.0, 0.0, 0.0, 0.0])
+    assert not compare_episodes(Args(group=4, failure=0.0), played, 0.2).any()

@@ -15,7 +15,7 @@ from impact_envs import InputError, load_scenario
 from train import tune
 from train.arguments import TuneArgs
 from train.evaluation.player import make_policy
-from train.residual import Ground
+from train.ground import Ground
 from train.watch import Watch
 
 ARGS = TuneArgs(progress=False)

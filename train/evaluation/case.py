@@ -17,8 +17,8 @@ from train.evaluation.own_policy import is_own
 if TYPE_CHECKING:
     from planners.plan import Plan
 
-# Training uses seeds below 1,000,000, tuning those below this one.
-EVALUATION_SEEDS = 2_000_000
+# First seeds of tuning, of the report on what was tuned, and of evaluations; training uses those below. Kept apart.
+TUNING_SEEDS, REPORT_SEEDS, EVALUATION_SEEDS = 1_000_000, 1_500_000, 2_000_000
 BUILT_IN = ("expert", "oracle", "zero", "random")
 EXPERT = "expert."  # how a changed value of the expert begins
 
