@@ -62,13 +62,13 @@ _TITLES = {"pingpong": "PingPong"}
 # Raised when episodes change, by the id without its version; 0 where not listed. Frozen in tests/frozen.
 _VERSIONS = {
     "Corridor": 2,
-    "CorridorResidual": 3,
+    "CorridorResidual": 4,
     "Crew": 3,
-    "CrewResidual": 3,
+    "CrewResidual": 4,
     "DualArmGrasp": 1,
     "DualArmGraspResidual": 1,
     "Exchange": 2,
-    "ExchangeResidual": 3,
+    "ExchangeResidual": 4,
     "FloatingManipulator": 1,
     "FloatingManipulatorNearGoal": 1,
     "FloatingManipulatorNearGoalResidual": 2,
@@ -78,15 +78,15 @@ _VERSIONS = {
     "FloatingManipulatorThrusters": 1,
     "FloatingManipulatorThrustersResidual": 2,
     "ObstacleAvoidance": 2,
-    "ObstacleAvoidanceResidual": 3,
+    "ObstacleAvoidanceResidual": 4,
     "PingPong": 2,
-    "PingPongResidual": 3,
+    "PingPongResidual": 4,
     "Pong": 2,
-    "PongResidual": 3,
+    "PongResidual": 4,
     "Relay": 2,
-    "RelayResidual": 3,
+    "RelayResidual": 4,
     "ThrowAndCatch": 1,
-    "ThrowAndCatchResidual": 3,
+    "ThrowAndCatchResidual": 4,
 }
 
 

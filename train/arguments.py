@@ -17,7 +17,7 @@ class Args:
     """Shipped names or TOML files; several train one policy for all."""
     suite: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="SUITE")] = ()
     """Mismatch suite of the true world; given several times, one policy for all. Without: hard."""
-    steps: int = 80_000
+    steps: int = 50_000
     """Corrections to answer in the whole run; a free-flyer asks for one per impact, the others periodically."""
     out: Path = Path("runs/residual")
     """Folder for checkpoints and logs."""

@@ -74,6 +74,8 @@ def take_correction(
 def move_time(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, shift: float) -> float:
     """Return when the coming impact of object o takes place if it is shifted, as far as it can be [s]; as now if not.
 
+    A small shift moves it by little, too, where it comes sooner than an impact should that is moved.
+
     Args:
         shift: correction, in [-1, 1].
     """
@@ -82,7 +84,8 @@ def move_time(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o:
     if shift == 0.0 or strike.is_inserted or is_answered(plan, memory, options, k, o):
         return old
     knot = plan.knot[index]
-    earliest = max(now + options.correction.notice, knot.opens, compute_arrival(plan, memory, options, k, index))
+    arrival = compute_arrival(plan, memory, options, k, index)
+    earliest = min(max(now + options.correction.notice, knot.opens, arrival), old)
     _, due, _ = find_next_knot(plan, memory, k, o, False)
     latest = max(min(knot.closes, due - options.reoptimisation.gap), old)
     time = min(max(old + options.correction.shift * shift, earliest), latest)

@@ -65,6 +65,17 @@ def read_memory(expert: FreeFlyerExpert) -> dict[str, str]:
     return {name: repr(values.tolist()) for name, values in found.items()}
 
 
+@pytest.mark.parametrize("name", ["pong", "pingpong", "relay", "corridor"])
+def test_a_small_shift_moves_every_impact_by_little(name: str) -> None:
+    """However near an impact is: what a policy explores around zero are small changes of the expert."""
+    for number in range(1, 1 + len(plan_of(name).impacts)):
+        expert, o = run_until_due(name, number=number)
+        time = float(expert.memory.strike[0, o]["time"])
+        for shift in (-1e-6, 1e-6):
+            moved = move_time(expert.table, expert.memory, OPTIONS, 0, o, shift)
+            assert abs(moved - time) <= NUMBERS.shift * 1e-6 * (1 + 1e-6)
+
+
 def test_zero_changes_nothing_but_that_it_was_asked_for() -> None:
     expert, _ = run_until_due("throw_and_catch")
     before = read_memory(expert)
