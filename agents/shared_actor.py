@@ -46,6 +46,7 @@ class SharedRecord(WeightsRecord):
         seed, steps: of the training so far; a step is one robot's control period.
         training: every argument of the training run.
         versions: of the packages that trained it.
+        cpu_seconds: that its training took, all threads together, None where nobody counted [s].
     """
 
     format_version: Literal[1] = 1
@@ -62,6 +63,7 @@ class SharedRecord(WeightsRecord):
     steps: Annotated[int, Field(ge=0)]
     training: dict[str, Any] = Field(default_factory=dict)
     versions: dict[str, str] = Field(default_factory=dict)
+    cpu_seconds: Annotated[float, Field(ge=0)] | None = None
 
 
 def find_layout(scenario: Scenario) -> Layout:
@@ -147,6 +149,19 @@ def load_shared_policy(directory: str | Path, scenario: Scenario) -> SharedPolic
         scenario: whose robots act.
 
     Raises:
+        InputError: as `load_choice`.
+    """
+    return SharedPolicy(load_choice(directory, scenario), name=str(directory))
+
+
+def load_choice(directory: str | Path, scenario: Scenario) -> Choose:
+    """Read what a shared policy answers to robots' observations, shape (..., size).
+
+    Args:
+        directory: checkpoint directory.
+        scenario: whose robots act.
+
+    Raises:
         InputError: the checkpoint is broken, or was trained on other observations.
     """
     actor, record = load_shared(directory)
@@ -158,10 +173,12 @@ def load_shared_policy(directory: str | Path, scenario: Scenario) -> SharedPolic
             f"robot's observation; scenario '{scenario.name}' (domain {scenario.domain}) has {size}"
         )
 
-    def act(observation: np.ndarray) -> np.ndarray:
-        return actor.correction(add_waves(observation, record.time_place, record.waves))
+    return make_choice(actor, record)
 
-    return SharedPolicy(act, name=str(directory))
+
+def make_choice(actor: Actor, record: SharedRecord) -> Choose:
+    """Return what an actor answers to robots' observations, shape (..., size)."""
+    return lambda observations: actor.correction(add_waves(observations, record.time_place, record.waves))
 
 
 def make_worlds(scenario: Scenario, count: int, threads: int) -> ImpactVectorEnv:

@@ -423,6 +423,7 @@ class Run:
             steps=self.steps,
             training=self.settings,
             versions=read_versions(),
+            cpu_seconds=round(self._spent, 3),
         )
 
 

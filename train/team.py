@@ -18,7 +18,6 @@ Source: Yu et al., "The Surprising Effectiveness of PPO in Cooperative Multi-Age
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -34,7 +33,15 @@ from torch import nn
 from tyro.conf import Positional
 
 from agents.actor import Actor
-from agents.shared_actor import SharedRecord, add_waves, find_layout, judge_shared, load_shared, save_shared
+from agents.shared_actor import (
+    SharedRecord,
+    add_waves,
+    find_layout,
+    judge_shared,
+    load_shared,
+    make_choice,
+    save_shared,
+)
 from agents.source import make_source
 from agents.vec_env import ImpactVecEnv
 from impact_envs.errors import InputError, choices
@@ -253,16 +260,14 @@ class Judge(BaseCallback):
         """Play the tuning seeds without exploration; keep the policy if it is the best so far."""
         args, actor = self._args, self._actor
         copy_actor(self.model, actor)
-
-        def choose(observations: np.ndarray) -> np.ndarray:
-            return actor.correction(add_waves(observations, self._record.time_place, self._record.waves))
-
+        choose = make_choice(actor, self._record)
         found: dict[str, Any] = judge_shared(self._scenario, choose, TUNING_SEEDS, args.eval_episodes, args.threads)
         explored = float(np.mean([info["success"] for info in self._ends])) if self._ends else 0.0
         found |= {"steps": self.num_timesteps, "cpu_seconds": self._spent, "explored_success_rate": explored}
         self.evaluations.append(found)
         if self.best is found:
-            save_shared(args.out, actor, self._record.model_copy(update={"steps": self.num_timesteps}))
+            counts = {"steps": self.num_timesteps, "cpu_seconds": round(self._spent, 3)}
+            save_shared(args.out, actor, self._record.model_copy(update=counts))
         write_json(args.out / "curve.json", {"evaluations": self.evaluations})
         self._watch.advance(min(int(self._spent), round(60 * args.minutes)))
         self._watch.say(describe_evaluation(found))
@@ -298,7 +303,7 @@ def main(args: Args) -> dict[str, Any]:
         report = {}
         if args.report_episodes:
             kept, _ = load_shared(args.out)
-            choose = make_choose(kept, record)
+            choose = make_choice(kept, record)
             report = judge_shared(scenario, choose, REPORT_SEEDS, args.report_episodes, args.threads)
     return {
         "steps": model.num_timesteps,
@@ -437,11 +442,6 @@ def copy_actor(model: Any, actor: Actor) -> None:
     """Copy a model's policy, without exploration, into an actor."""
     for mine, theirs in zip(actor.layers, find_actor_layers(model), strict=True):
         mine.load_state_dict(theirs.state_dict())
-
-
-def make_choose(actor: Actor, record: SharedRecord) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what an actor answers to robots' observations."""
-    return lambda observations: actor.correction(add_waves(observations, record.time_place, record.waves))
 
 
 def describe_evaluation(found: dict[str, Any]) -> str:

@@ -76,6 +76,7 @@ def read_origins(policies: Iterable[str]) -> dict[str, Origin]:
     """Return what the checkpoints among some policies say of themselves; one that is not here any more says nothing."""
     from agents.actor import DESCRIPTION, PolicyRecord
     from agents.checkpoint import read_record
+    from agents.shared_actor import is_shared, load_shared
     from train.evaluation.comparison import Origin
     from train.evaluation.player import SHIPPED
 
@@ -85,5 +86,9 @@ def read_origins(policies: Iterable[str]) -> dict[str, Origin]:
             if (folder / DESCRIPTION).is_file():
                 record = read_record(folder / DESCRIPTION, PolicyRecord)
                 origins[name] = Origin(record.algorithm, record.cpu_seconds)
+                break
+            if is_shared(folder):
+                _, shared = load_shared(folder)
+                origins[name] = Origin(shared.algorithm, shared.cpu_seconds)
                 break
     return origins

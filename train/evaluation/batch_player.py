@@ -34,8 +34,8 @@ class BatchPolicy(Protocol):
     def begin(self, seeds: np.ndarray) -> None:
         """Be told the seeds of the episodes that start, shape (N,)."""
 
-    def act(self, joint: np.ndarray) -> np.ndarray:
-        """Return the joint actions, shape (N, size), from all that is measured, shape (N, joint size)."""
+    def act(self, output: Any) -> np.ndarray:
+        """Return the joint actions, shape (N, size), from what the worlds' last step returned."""
 
     def count_events(self) -> dict[str, np.ndarray]:
         """Return how often what happened since the episodes began, name to shape (N,)."""
@@ -53,7 +53,7 @@ class _Zero:
     def begin(self, seeds: np.ndarray) -> None:
         """Do nothing."""
 
-    def act(self, joint: np.ndarray) -> np.ndarray:
+    def act(self, output: Any) -> np.ndarray:
         """Return zeros."""
         return self._actions
 
@@ -81,11 +81,11 @@ class _Expert:
         """Forget what was counted; experts start anew with the first observation."""
         self._unanswered[:] = 0
 
-    def act(self, joint: np.ndarray) -> np.ndarray:
+    def act(self, output: Any) -> np.ndarray:
         """Return the experts' actions, corrected where they ask."""
         if self._correct is None:
-            return self._experts.act(joint)
-        awaiting = self._experts.observe(joint)
+            return self._experts.act(output.joint)
+        awaiting = self._experts.observe(output.joint)
         while awaiting.any():
             chosen = np.flatnonzero(awaiting)
             corrections = np.asarray(self._correct(self._experts.features()[chosen]), float)
@@ -102,6 +102,21 @@ class _Expert:
     def close(self) -> None:
         """Let the experts' threads and processes go."""
         self._experts.close()
+
+
+class _Shared(_Zero):
+    """A network that all robots share, each of which gives it its own observation.
+
+    Args:
+        choose: takes observations, shape (N, robots, size), and returns actions, shape (N, robots, action size).
+    """
+
+    def __init__(self, choose: Callable[[np.ndarray], np.ndarray]) -> None:
+        self._choose = choose
+
+    def act(self, output: Any) -> np.ndarray:
+        """Return what the network answers."""
+        return np.clip(np.asarray(self._choose(output.agents), float), -1.0, 1.0)
 
 
 class _Oracle(_Expert):
@@ -149,8 +164,11 @@ def make_batch_policy(name: str, case: Case, count: int, threads: int, action_sh
     # Imported here: playing without checkpoints needs no torch.
     from agents.actor import load_policy
     from agents.residual import check_domain, check_fit
+    from agents.shared_actor import is_shared, load_choice
 
     directory = checkpoint_directory(name, variants)
+    if is_shared(directory):
+        return _Shared(load_choice(directory, scenario))
     actor, record = load_policy(directory)
     check_domain(directory, record, scenario)
     experts = make_expert_batch(scenario, count, case.plan, record.variant, options, threads)
@@ -221,7 +239,7 @@ class _Ends:
 def _play_shard(batch: Any, policy: BatchPolicy, seeds: np.ndarray) -> _Ends:
     """Play an episode in every world."""
     count = len(seeds)
-    output, everywhere = batch.make_output(agents=False), np.ones(count, bool)
+    output, everywhere = batch.make_output(agents=isinstance(policy, _Shared)), np.ones(count, bool)
     batch.seed(np.arange(count), seeds)
     policy.begin(seeds)
     batch.start(everywhere, output)
@@ -231,7 +249,7 @@ def _play_shard(batch: Any, policy: BatchPolicy, seeds: np.ndarray) -> _Ends:
     )  # fmt: skip
     running = everywhere.copy()
     while running.any():
-        actions = policy.act(output.joint).reshape(count, *batch.action_shape)
+        actions = policy.act(output).reshape(count, *batch.action_shape)
         # A world that failed is not stepped further: it starts anew, and what becomes of it is nobody's matter.
         batch.step(actions, output, None if running.all() else ~running)
         ends.impacts[running] += batch.impacts[running]

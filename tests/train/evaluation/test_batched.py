@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from agents.actor import Actor, PolicyRecord, save_policy
+from agents.shared_actor import SharedRecord, find_layout, save_shared
 from agents.source import make_source
 from impact_envs import InputError, load_scenario
 from impact_envs.scenario import Scenario
@@ -75,6 +76,27 @@ def test_rows_equal_those_of_single_worlds(name: str, tmp_path: Path) -> None:
         return  # so short that no correction tells
     corrected = [row["robustness"] for row in batched if row["policy"] == policies[2]]
     assert corrected != [row["robustness"] for row in batched if row["policy"] == "expert"]
+
+
+def test_a_network_that_robots_share_plays_alike_in_one_world_and_in_many(tmp_path: Path) -> None:
+    case = make_short_case("throw_and_catch")
+    layout = find_layout(case.scenario)
+    torch.manual_seed(0)
+    actor = Actor(layout.size, 2, hidden=(8,))
+    torch.nn.init.normal_(actor.layers[-1].weight, std=0.5)  # type: ignore[arg-type]
+    record = SharedRecord(
+        domain="free_flyer", sources=(make_source(case.scenario, case.suite, None),), algorithm="random",
+        observation=tuple(layout.describe().splitlines()), action_size=2, time_place=layout["time"].start, waves=0,
+        hidden=(8,), seed=0, steps=0,
+    )  # fmt: skip
+    save_shared(tmp_path, actor, record)
+    jobs = [Job(0, str(tmp_path), seed) for seed in SEEDS]
+    singles = [row for row, _ in play([case], jobs)]
+    batched = [row for row, _ in play_batched([case], jobs)]
+    assert len({row["robustness"] for row in singles}) > 1
+    for ours, single in zip(batched, singles, strict=True):
+        assert {key: ours[key] for key in EXACT} == {key: single[key] for key in EXACT}
+        assert ours["robustness"] == pytest.approx(single["robustness"], abs=1e-6)
 
 
 def test_finished_shards_are_kept_and_gone_on_with(tmp_path: Path) -> None:
