@@ -82,11 +82,11 @@ def test_a_network_that_robots_share_plays_alike_in_one_world_and_in_many(tmp_pa
     case = make_short_case("throw_and_catch")
     layout = find_layout(case.scenario)
     torch.manual_seed(0)
-    actor = Actor(layout.size, 2, hidden=(8,))
+    actor = Actor(layout.size, 3, hidden=(8,))
     torch.nn.init.normal_(actor.layers[-1].weight, std=0.5)  # type: ignore[arg-type]
     record = SharedRecord(
         domain="free_flyer", sources=(make_source(case.scenario, case.suite, None),), algorithm="random",
-        observation=tuple(layout.describe().splitlines()), action_size=2, time_place=layout["time"].start, waves=0,
+        observation=tuple(layout.describe().splitlines()), action_size=3, time_place=layout["time"].start, waves=0,
         hidden=(8,), seed=0, steps=0,
     )  # fmt: skip
     save_shared(tmp_path, actor, record)
