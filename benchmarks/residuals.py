@@ -25,7 +25,7 @@ from impact_envs.domain import find_part
 from impact_envs.errors import InputError, check_count
 from impact_envs.scenario import load_scenario
 from planners import check_oracle, list_variants
-from train import residual, tune
+from train import clone, residual, tune
 from train.arguments import Args as TrainingArgs
 from train.arguments import TuneArgs
 from train.cli.compare import read_origins
@@ -56,6 +56,8 @@ class Args:
     """Corrections of every training; without: the default of `impact train`."""
     on_published: bool = False
     """Train residuals on the published form of the expert, too."""
+    clone: bool = False
+    """Clone the free-flyers' expert once for each row, too."""
     generalist: bool = False
     """Train one policy for the free-flyers of all rows in all their suites, too, and judge it in each."""
     suites: tuple[str, ...] = ()
@@ -141,6 +143,12 @@ def make_row(args: Args, scenario: str, suite: str) -> tuple[list[str], Path]:
             out = folder / (f"residual_on_{variant}" if variant else "residual") / f"seed{seed}"
             train(args, TrainingArgs((scenario,), (suite,), variant=variant, seed=seed, out=out))
             policies.append(str(out))
+    if args.clone and loaded.domain == SHARED_DOMAIN:
+        out = folder / "clone"
+        if not (out / "result.json").exists():
+            resume = bool(clone.list_iterations(out))
+            write_json(out / "result.json", clone.main(clone.Args(scenario, suite, out=out, resume=resume)))
+        policies.append(str(out))
     return policies, folder
 
 
