@@ -28,11 +28,11 @@ from planners import check_oracle, list_variants
 from train import clone, residual, tune
 from train.arguments import Args as TrainingArgs
 from train.arguments import TuneArgs
-from train.cli.compare import read_origins
 from train.evaluation.case import EVALUATION_SEEDS, check_names, make_cases
 from train.evaluation.comparison import compare_groups
 from train.evaluation.evaluate import evaluate_cases
 from train.evaluation.journal import write_json
+from train.evaluation.origins import read_origins
 
 ROWS = (
     "pong:hard", "corridor:hard", "obstacle_avoidance:hard", "exchange:hard", "pingpong:hard", "pingpong:short",

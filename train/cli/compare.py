@@ -14,9 +14,8 @@ from impact_envs.errors import InputError, choices
 if TYPE_CHECKING:
     import pandas as pd
 
-    from train.evaluation.comparison import Origin
 
-COLUMNS = ["scenario", "suite", "policy", "seed", "robustness", "success"]
+KEY = ["scenario", "suite", "policy", "seed"]  # of an episode
 
 
 @dataclass
@@ -33,6 +32,7 @@ class Command:
     def run(self) -> dict[str, Any]:
         """Return a row for each scenario, suite and group of policies."""
         from train.evaluation.comparison import compare_groups
+        from train.evaluation.origins import read_origins
 
         rows = read_rows(self.folders)
         policies = sorted(rows["policy"].unique())
@@ -49,7 +49,7 @@ def read_rows(folders: Iterable[Path]) -> pd.DataFrame:
         folders: of them.
 
     Returns:
-        One row per episode, columns COLUMNS.
+        One row per episode, see `compare_groups`.
 
     Raises:
         InputError: a folder is none of an evaluation, two hold the same episode, or there is none.
@@ -58,37 +58,12 @@ def read_rows(folders: Iterable[Path]) -> pd.DataFrame:
 
     from train.evaluation.results import read_evaluation
 
-    tables = []
-    for folder in folders:
-        read_evaluation(folder)  # says what is wrong with it
-        tables.append(pd.read_parquet(folder / "rows.parquet", columns=COLUMNS))
+    tables = [read_evaluation(folder).episodes for folder in folders]
     if not tables:
         raise InputError("no folder to compare; name at least one that `impact evaluate ... --out DIR` wrote")
     rows = pd.concat(tables, ignore_index=True)
-    twice = rows[rows.duplicated(COLUMNS[:4])]
+    twice = rows[rows.duplicated(KEY)]
     if len(twice):
-        scenario, suite, policy, seed = twice.iloc[0][COLUMNS[:4]]
+        scenario, suite, policy, seed = twice.iloc[0][KEY]
         raise InputError(f"{policy} in {scenario} under {suite} with seed {seed} is in two of the folders")
     return rows
-
-
-def read_origins(policies: Iterable[str]) -> dict[str, Origin]:
-    """Return what the checkpoints among some policies say of themselves; one that is not here any more says nothing."""
-    from agents.actor import DESCRIPTION, PolicyRecord
-    from agents.checkpoint import read_record
-    from agents.shared_actor import is_shared, load_shared
-    from train.evaluation.comparison import Origin
-    from train.evaluation.player import SHIPPED
-
-    origins = {}
-    for name in policies:
-        for folder in (Path(name), SHIPPED / name):
-            if (folder / DESCRIPTION).is_file():
-                record = read_record(folder / DESCRIPTION, PolicyRecord)
-                origins[name] = Origin(record.algorithm, record.cpu_seconds)
-                break
-            if is_shared(folder):
-                _, shared = load_shared(folder)
-                origins[name] = Origin(shared.algorithm, shared.cpu_seconds)
-                break
-    return origins

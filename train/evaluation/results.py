@@ -17,7 +17,7 @@ from train.evaluation.journal import Manifest, read_record
 from train.evaluation.metric import Pair
 from train.evaluation.metrics import METRICS
 
-COLUMNS = ["scenario", "suite", "policy", "seed", "robustness"]
+COLUMNS = ["scenario", "suite", "policy", "seed", "robustness", "success"]
 
 
 class Group(BaseModel):
@@ -178,7 +178,7 @@ def _read_episodes(path: Path) -> pd.DataFrame:
     except ValueError as error:  # pyarrow's own errors are ValueErrors with many lines
         raise InputError(f"evaluation file {path}: {str(error).splitlines()[0]}") from None
     for name in COLUMNS:
-        if is_numeric_dtype(episodes[name]) != (name in ("seed", "robustness")) or episodes[name].isna().any():
+        if is_numeric_dtype(episodes[name]) != (name in COLUMNS[3:]) or episodes[name].isna().any():
             raise InputError(f"evaluation file {path}: column '{name}' has type {episodes[name].dtype} or holds gaps")
     return episodes
 

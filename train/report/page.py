@@ -19,6 +19,7 @@ from impact_envs.stl import Trace, parse, robustness
 from planners.plan import Plan
 from train.evaluation.journal import JudgedCase
 from train.evaluation.results import Evaluation, Replay, read_evaluation
+from train.report.comparison import write_comparison
 from train.report.learning import collect_learning, write_learning
 from train.report.suites import write_suites
 from train.report.tables import Look, write_differences, write_results
@@ -53,6 +54,7 @@ def write_report(directory: str | Path) -> Path:
         **_write_heading(evaluation, looks),
         results=write_results(evaluation.summary.rows, looks),
         paired=write_differences(evaluation.summary.paired, looks),
+        comparison=write_comparison(evaluation.episodes, looks),
         without_replays="hidden" if evaluation.replays else "",
         with_replays="" if evaluation.replays else "hidden",
         distributions=_write_distributions(evaluation),

@@ -42,10 +42,10 @@ def write_results(rows: Iterable[Group], looks: Mapping[str, Look]) -> str:
     """
     heads = [("Policy", "text"), *((title, column.cell) for title, column in list_columns())]
     body = [
-        _block(scenario, suite, len(heads)) + "".join(_result(row, looks[row.policy]) for row in group)
+        write_block(scenario, suite, len(heads)) + "".join(_result(row, looks[row.policy]) for row in group)
         for (scenario, suite), group in groupby(rows, key=lambda row: (row.scenario, row.suite))
     ]
-    return _table("results-table", heads, body)
+    return write_table("results-table", heads, body)
 
 
 def write_differences(differences: Iterable[Difference], looks: Mapping[str, Look]) -> str:
@@ -73,10 +73,10 @@ def write_differences(differences: Iterable[Difference], looks: Mapping[str, Loo
         ("Reading", "text"),
     ]
     body = [
-        _block(scenario, suite, len(heads)) + "".join(_difference(d, looks, reach) for d in group)
+        write_block(scenario, suite, len(heads)) + "".join(_difference(d, looks, reach) for d in group)
         for (scenario, suite), group in groupby(differences, key=lambda d: (d.scenario, d.suite))
     ]
-    return _table("paired-table", heads, body) + left_out
+    return write_table("paired-table", heads, body) + left_out
 
 
 def _drop_trivial(differences: list[Difference]) -> tuple[list[Difference], str]:
@@ -92,7 +92,7 @@ def _drop_trivial(differences: list[Difference]) -> tuple[list[Difference], str]
     return telling, f'<p class="how">{left_out} comparisons {what} {names} are left out; summary.json has them.</p>'
 
 
-def _table(name: str, heads: Iterable[tuple[str, str]], body: Iterable[str]) -> str:
+def write_table(name: str, heads: Iterable[tuple[str, str]], body: Iterable[str]) -> str:
     """Write a table; each head has its text and the kind of the cells below it."""
     cells = (f'<th scope="col" class="{kind}">{escape(text)}</th>' for text, kind in heads)
     return (
@@ -101,7 +101,8 @@ def _table(name: str, heads: Iterable[tuple[str, str]], body: Iterable[str]) -> 
     )
 
 
-def _block(scenario: str, suite: str, width: int) -> str:
+def write_block(scenario: str, suite: str, width: int) -> str:
+    """Write the line above a table's rows of one scenario in one suite."""
     title = f"{escape(scenario)} <span>· {escape(suite)}</span>"
     return f'<tr class="block"><th scope="rowgroup" colspan="{width}">{title}</th></tr>'
 
