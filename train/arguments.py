@@ -17,7 +17,7 @@ class Args:
     """Shipped names or TOML files; several train one policy for all."""
     suite: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="SUITE")] = ()
     """Mismatch suite of the true world; given several times, one policy for all. Without: hard."""
-    steps: int = 50_000
+    steps: int = 60_000
     """Corrections to answer in the whole run; a free-flyer asks for one per impact, the others periodically."""
     out: Path = Path("runs/residual")
     """Folder for checkpoints and logs."""
@@ -57,7 +57,7 @@ class Args:
     """A failure counts no more than so many times the expert's median robustness."""
     cut: float = 1.0
     """Two episodes of a seed differ by no more than so many times the expert's median robustness."""
-    failure: float = 2.0
+    failure: float = 0.5
     """Cost of a failure beside its robustness, times the expert's median robustness."""
     eval_every: int = 5
     """Iterations between two evaluations on tuning seeds; 0: never, and the last policy is kept."""
@@ -113,7 +113,7 @@ class TuneArgs:
     """Seeds for the report on what was chosen; 0: none."""
     worst: float = 2.0
     """A failure counts no more than so many times the expert's median robustness."""
-    failure: float = 2.0
+    failure: float = 0.5
     """Cost of a failure beside its robustness, times the expert's median robustness."""
     worlds: int = 512
     """Episodes that are played at a time, over all scenarios and suites."""
