@@ -70,9 +70,9 @@ def test_version_and_types_are_there():
 
 
 def test_the_extra_that_is_missing_is_named(monkeypatch, capsys, tmp_path):
+    """From the source, whose metadata may be of an older install, and from the metadata of a wheel."""
     listed = PROJECT["optional-dependencies"]
     told = [f'{requirement} ; extra == "{extra}"' for extra, all_of in listed.items() for requirement in all_of]
-    monkeypatch.setattr(metadata, "requires", lambda name: [*PROJECT["dependencies"], *told])
     wanted = {
         "torch.nn": ["learn"],
         "stable_baselines3": ["learn"],
@@ -83,7 +83,12 @@ def test_the_extra_that_is_missing_is_named(monkeypatch, capsys, tmp_path):
         "numpy": [],
         "nothing": [],
     }
+    monkeypatch.setattr(metadata, "requires", lambda name: ["numpy>=1"])  # of an older install
     assert {module: extras.find_extras(module) for module in wanted} == wanted
+    with monkeypatch.context() as installed:
+        installed.setattr(metadata, "requires", lambda name: [*PROJECT["dependencies"], *told])
+        installed.setattr(extras, "SOURCE", tmp_path / "pyproject.toml")  # not there
+        assert {module: extras.find_extras(module) for module in wanted} == wanted
     monkeypatch.setitem(sys.modules, "minari", None)
     assert main(("dataset", "throw_and_catch")) == 2
     assert capsys.readouterr().err == "impact: minari is not installed: pip install 'impact-envs[plan,learn]'\n"
