@@ -98,7 +98,13 @@ def list_changes(scenario: Scenario, suite: str) -> dict[str, Any]:
 
 def has_expert(policy: str) -> bool:
     """Return whether a policy of this name has an expert, and so options and mostly a plan."""
-    return policy not in ("zero", "random") and not is_own(policy)
+    if policy in ("zero", "random") or is_own(policy):
+        return False
+    if policy == "expert" or not Path(policy).is_dir():
+        return True
+    from agents.shared_actor import is_shared  # imported here: the expert alone needs no torch
+
+    return not is_shared(Path(policy))
 
 
 def check_settings(case: Case, policies: Sequence[str]) -> None:

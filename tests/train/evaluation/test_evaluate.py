@@ -230,6 +230,14 @@ def test_one_plan_serves_all_seeds_and_suites_of_one_belief(monkeypatch: pytest.
     assert not has_expert("random")
 
 
+def test_a_clone_has_no_expert_and_needs_no_plan(tmp_path: Path) -> None:
+    (tmp_path / "residual").mkdir()
+    (tmp_path / "clone").mkdir()
+    (tmp_path / "clone" / "shared.json").write_text("{}")
+    assert has_expert(str(tmp_path / "residual"))
+    assert not has_expert(str(tmp_path / "clone"))
+
+
 def test_a_refused_journal_stays_as_it_is(short: Scenario, tmp_path: Path) -> None:
     """Its last line too, which a kill cut off and which would be dropped otherwise."""
     evaluate([short], ("zero",), 3, out=tmp_path, progress=False)
