@@ -39,7 +39,7 @@ class Command:
         if self.constant is not None and self.constant not in policies:
             known = choices(self.constant, policies)
             raise InputError(f"--constant {self.constant}: policy '{self.constant}' was not evaluated; {known}")
-        return {"comparison": compare_groups(rows, read_origins(policies), self.constant)}
+        return {"groups": compare_groups(rows, read_origins(policies), self.constant)}
 
 
 def read_rows(folders: Iterable[Path]) -> pd.DataFrame:

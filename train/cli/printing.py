@@ -57,7 +57,7 @@ COLUMNS = {
     "restitution_spread": "its spread",
     "drift": "drift [m/s²]",
 }
-SKIPPED = ("scenarios", "rows", "paired", "plans", "domain", "unit", "comparison")
+SKIPPED = ("scenarios", "rows", "paired", "plans", "domain", "unit", "groups")
 
 
 def show(result: dict[str, Any]) -> None:
@@ -73,8 +73,8 @@ def show(result: dict[str, Any]) -> None:
     if "rows" in result:
         table = _evaluation_table(result["rows"])
         _print_whole(console, table)
-    if "comparison" in result:
-        _print_whole(console, _comparison_table(result["comparison"]))
+    if "groups" in result:
+        _print_whole(console, _comparison_table(result["groups"]))
     units = _find_units(result.get("domain", ""))
     lines = _Lines(console, units | ({"robustness": result["unit"]} if "unit" in result else {}))
     for key, value in result.items():

@@ -90,7 +90,7 @@ def test_the_worst_and_the_better() -> None:
 
 
 def test_the_table_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    show({"comparison": compare_groups(make_rows(expert=0.0, **{"a/seed0": 0.1}))})
+    show({"groups": compare_groups(make_rows(expert=0.0, **{"a/seed0": 0.1}))})
     assert "Worst 5 %" in capsys.readouterr().out
 
 

@@ -8,6 +8,7 @@ from impact_envs import load_scenario
 from impact_envs.errors import InputError
 from planners import list_variants
 from train.cli.main import main
+from train.cli.printing import show
 from train.cli.reproduce import describe_play
 from train.papers.comparison import compare_row, find_value, write_table
 from train.papers.paper import Row, list_papers, load_paper
@@ -104,6 +105,11 @@ def test_a_figure_of_the_second_paper(capsys, tmp_path):
     assert base["verdict"] == "differs"
     assert [entry["figure"] for entry in said["figures"]] == ["fig11"]
     assert {path.name for path in tmp_path.iterdir()} == {"nekoo_passive.png", "nekoo.md"}
+
+
+def test_the_numbers_side_by_side_are_printed_for_people(capsys):
+    show({"paper": "nekoo", "comparison": [compare_row(make_row(tolerance=0.1), [1.05])]})
+    assert "Sec. 1" in (said := capsys.readouterr().out) and "agrees" in said
 
 
 def test_unknown_papers_name_the_known_ones():
