@@ -12,6 +12,7 @@ DISTRIBUTION = "impact-envs"
 # Beside the packages where they run from their source; the metadata of such an install are as old as the install.
 SOURCE = Path(__file__).parents[1] / "pyproject.toml"
 NO_CHOICE = ("all", "dev")  # extras that are made of others
+PACKAGES = {"PIL": "pillow"}  # modules of another name than their package's
 
 
 def find_extras(module: str) -> list[str]:
@@ -23,7 +24,8 @@ def find_extras(module: str) -> list[str]:
     Returns:
         For example ``["learn"]``; empty of a module that no extra brings.
     """
-    wanted = _plain(module.partition(".")[0])
+    root = module.partition(".")[0]
+    wanted = _plain(PACKAGES.get(root, root))
     return [extra for extra, package in _list_optional() if extra not in NO_CHOICE and _plain(package) == wanted]
 
 

@@ -20,7 +20,13 @@ from train.cli.main import COMMANDS, main
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("impact_envs", "planners", "agents", "train")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-MODULES = {"pygame-ce": "pygame", "ray[rllib]": "ray", "minari[hdf5]": "minari", "numba-cuda[cu12]": "numba"}
+MODULES = {
+    "pygame-ce": "pygame",
+    "pillow": "PIL",
+    "ray[rllib]": "ray",
+    "minari[hdf5]": "minari",
+    "numba-cuda[cu12]": "numba",
+}
 # Of the standard library, of the packages themselves, or brought by what is declared and used only beside it.
 BROUGHT = {*sys.stdlib_module_names, *PACKAGES, "benchmarl", "gurobipy", "pyscipopt"}
 
@@ -78,6 +84,7 @@ def test_the_extra_that_is_missing_is_named(monkeypatch, capsys, tmp_path):
         "stable_baselines3": ["learn"],
         "highspy": ["plan"],
         "imageio_ffmpeg": ["report"],
+        "PIL.GifImagePlugin": ["report"],
         "pandas": ["learn", "report"],
         "ray": ["ray"],
         "numpy": [],
@@ -93,7 +100,7 @@ def test_the_extra_that_is_missing_is_named(monkeypatch, capsys, tmp_path):
     assert main(("dataset", "throw_and_catch")) == 2
     assert capsys.readouterr().err == "impact: minari is not installed: pip install 'impact-envs[plan,learn]'\n"
     monkeypatch.setitem(sys.modules, "imageio.v2", None)
-    assert main(("run", "throw_and_catch", "--policy", "zero", "--render", str(tmp_path / "a.gif"))) == 2
+    assert main(("run", "throw_and_catch", "--policy", "zero", "--render", str(tmp_path / "a.mp4"))) == 2
     assert "pip install 'impact-envs[plan,report]'" in capsys.readouterr().err
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import sys
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -32,7 +31,7 @@ class Film:
 
     def __init__(self, path: str | Path, fps: float, hold: float = 0.0) -> None:
         self.path, self._fps, self._hold = Path(path), fps, hold
-        self._file, self._encoded = ExitStack(), io.BytesIO()
+        self._file = ExitStack()
         self.suffix = self.path.suffix.lower()
         self._writer: Any = None
         self._last: np.ndarray | None = None
@@ -81,8 +80,6 @@ class Film:
             with self._file:
                 writer, self._writer = self._writer, None
                 writer.close()
-                if self.suffix == ".gif":
-                    self._partial.write_bytes(self._encoded.getvalue())
                 # The encoder is a process of its own, which tells nobody that the disk was full.
                 if self.suffix == ".mp4" and self._partial.is_file() and not _is_whole(self._partial):
                     raise OSError("the encoder stopped early; is the disk full?")
@@ -102,12 +99,14 @@ class Film:
         self._file.__exit__(*reason)
 
     def _open(self) -> Any:
+        if self.suffix == ".gif":
+            from impact_envs.picture.gif import Gif
+
+            self._partial = self._file.enter_context(replace_file(self.path))
+            return Gif(self._file.enter_context(self._partial.open("wb")), self._fps)
         import imageio.v2 as imageio
 
         self._partial = self._file.enter_context(replace_file(self.path))
-        if self.suffix == ".gif":
-            # In memory: after a full disk, imageio would go on trying, and print every failure.
-            return imageio.get_writer(self._encoded, format=".gif", duration=1000.0 / self._fps, loop=0)
         # H.264 wants even sides, which a macro block of 2 ensures.
         return imageio.get_writer(self._partial, fps=self._fps, codec="libx264", quality=8, macro_block_size=2)
 

@@ -183,6 +183,29 @@ def test_film_has_the_frames_given(tmp_path, suffix):
         assert _center(shown, ORANGE) == pytest.approx(_center(drawn, ORANGE), abs=1)
 
 
+def test_a_gif_keeps_colours_and_time(tmp_path):
+    """Of a frame that shows what the first one has not, too; equal frames are one that is shown for longer."""
+    from PIL import Image
+
+    plain = np.full((60, 80, 3), (240, 241, 242), np.uint8)
+    flash = plain.copy()
+    flash[10:30, 20:60] = (201, 20, 33)
+    pictures = [plain, flash, flash, plain]
+    path = tmp_path / "film.gif"
+    film = Film(path, fps=30.0, hold=0.5)
+    for picture in pictures:
+        film.add(picture)
+    film.close()
+    shown = iio.imread(path)
+    assert len(shown) == 3
+    for seen, drawn in zip(shown, (plain, flash, plain), strict=True):
+        assert np.array_equal(seen, drawn)
+    with Image.open(path) as image:
+        times = [image.seek(k) or image.info["duration"] for k in range(image.n_frames)]
+    assert sum(times) == pytest.approx(1000.0 * (4 / 30.0 + 0.5), abs=5.0)  # hundredths of a second
+    assert times[0] == 30 and times[1] == 70
+
+
 def test_picture_is_the_last_frame(tmp_path):
     renderer = Renderer((0, 0), (2, 1), [PUCK], size=(200, 170))
     pictures = [renderer.draw(Frame(0.0, {"pop": (0.4 + 0.3 * k, 0.5, 0.0)})) for k in range(3)]
