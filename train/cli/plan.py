@@ -263,12 +263,16 @@ def _parse_names(texts: tuple[str, ...]) -> dict[str, str]:
 
 
 def _summary(scenario: Any, plan: Plan) -> dict[str, Any]:
+    from planners.free_flyer.continuous_time import compute_continuous_robustness
+
+    between = compute_continuous_robustness(scenario.as_believed(), plan)
     deviation = {} if plan.deviation is None else {"deviation": plan.deviation, "deviation_bound": plan.deviation_bound}
     return {
         "scenario": scenario.name,
         "objective": plan.objective,
         # Solvers stop within 1e-8 of the optimum; digits beyond the sixth say nothing.
         "robustness": round(plan.robustness, 6),
+        "continuous_robustness": None if between is None else round(between, 6),
         "bound": round(plan.bound, 6),
         "gap": round(plan.gap, 6),
         **deviation,
