@@ -1,4 +1,4 @@
-"""What planning may take: wall time, or work that is the same on every machine; and what its stages took."""
+"""What planning may take: time by a clock, or work that is the same on every machine; and what its stages took."""
 
 from __future__ import annotations
 
@@ -12,10 +12,56 @@ from dataclasses import dataclass, field
 from planners.errors import OutOfWork
 
 ROW = 0.2  # work of writing a row and handing it to a solver, over that of an iteration of the simplex method
+OVER = 1e9  # what a stopped clock shows more: later than every limit [s]
 
 
 # Told of every stage that begins, and with None that it ended; it cannot change what is planned.
 _WATCHER: ContextVar[Callable[[Budget, str | None], None] | None] = ContextVar("watcher", default=None)
+
+
+@dataclass
+class Clock:
+    """Measure what limits of time are about; once it is stopped, every limit is over.
+
+    Args:
+        read: returns the time [s]; `time.process_time` has planning count its own time on a busy machine.
+        stopped: whether planning is to end with the best it has.
+    """
+
+    read: Callable[[], float] = time.perf_counter
+    stopped: bool = False
+
+    def stop(self) -> None:
+        """Have all planning under this clock end with the best it has."""
+        self.stopped = True
+
+
+_CLOCK: ContextVar[Clock] = ContextVar("clock", default=Clock())  # noqa: B039 - nobody stops the default one
+
+
+@contextmanager
+def use_clock(clock: Clock) -> Iterator[None]:
+    """Have the limits of all planning inside, in this thread, measured by a clock.
+
+    Args:
+        clock: the clock.
+    """
+    token = _CLOCK.set(clock)
+    try:
+        yield
+    finally:
+        _CLOCK.reset(token)
+
+
+def get_clock() -> Clock:
+    """Return the clock that limits are measured by."""
+    return _CLOCK.get()
+
+
+def read_clock() -> float:
+    """Return the time that limits are measured by [s]."""
+    clock = _CLOCK.get()
+    return clock.read() + (OVER if clock.stopped else 0.0)
 
 
 @contextmanager
@@ -33,18 +79,47 @@ def watch_planning(tell: Callable[[Budget, str | None], None]) -> Iterator[None]
 
 
 @dataclass
+class Progress:
+    """Hold what planning has come to, for whoever watches; lengths in the user's units.
+
+    Args:
+        about: what is planned, where it is not yet the whole task.
+        impacts: number that is tried now.
+        pieces: per leg, that are tried now.
+        robustness: of the best impacts found so far [m].
+        bound: no plan is known to have more [m].
+    """
+
+    about: str = ""
+    impacts: int | None = None
+    pieces: int | None = None
+    robustness: float | None = None
+    bound: float | None = None
+
+    def __str__(self) -> str:
+        size = "" if self.impacts is None else f"{self.impacts} impacts, {self.pieces} pieces a leg"
+        found = "" if self.robustness is None else f"robustness {self.robustness:.4g} m"
+        bound = "" if self.bound is None else f"{'of ' if found else ''}at most {self.bound:.4g} m"
+        return ", ".join(part for part in (self.about, size, f"{found} {bound}".strip()) if part)
+
+
+@dataclass
 class Budget:
     """Hold the time that planning may take, and measure what its stages take.
 
     Args:
-        limit: wall time of all stages together [s].
-        news: what the stages so far found out, for whoever watches.
+        limit: time of all stages together [s].
+        start: when it was made, by the clock of limits [s].
+        begin: when it was made, by the wall's clock [s].
+        stages: wall time that each stage has taken [s].
+        progress: what planning has come to.
     """
 
     limit: float
-    start: float = field(default_factory=time.perf_counter)
+    start: float = field(default_factory=lambda: get_clock().read())
+    begin: float = field(default_factory=time.perf_counter)
     stages: dict[str, float] = field(default_factory=dict)
-    news: str = ""
+    progress: Progress = field(default_factory=Progress)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -59,10 +134,23 @@ class Budget:
                 tell(self, None)
             self.stages[name] = self.stages.get(name, 0.0) + time.perf_counter() - start
 
+    def share(self, limit: float) -> Budget:
+        """Return a budget of its own that tells of the same progress.
+
+        Args:
+            limit: its time [s].
+        """
+        return Budget(limit, progress=self.progress)
+
     @property
     def elapsed(self) -> float:
-        """Return the time since the budget was made [s]."""
-        return time.perf_counter() - self.start
+        """Return the time since the budget was made, by the clock of limits [s]."""
+        return read_clock() - self.start
+
+    @property
+    def seconds(self) -> float:
+        """Return the wall time since the budget was made [s]."""
+        return time.perf_counter() - self.begin
 
     @property
     def left(self) -> float:

@@ -6,6 +6,7 @@ A further solver is one entry of `SOLVERS`: its title, its package and a functio
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -16,7 +17,7 @@ import highspy
 import numpy as np
 
 from impact_envs.errors import InputError, choices
-from planners.budget import Work
+from planners.budget import Work, get_clock, read_clock
 from planners.errors import Infeasible, SolverFailed
 from planners.mixed_integer import Affine, Model, Solution, stack
 
@@ -179,7 +180,6 @@ def _run_highs(model: Model, limits: Limits, squares: Squares) -> Outcome:
     options: dict[str, Any] = {
         "output_flag": False,
         "threads": 1,
-        "time_limit": max(limits.seconds, SHORTEST),
         "mip_feasibility_tolerance": TOLERANCE,
         "primal_feasibility_tolerance": TOLERANCE,
         "mip_rel_gap": limits.relative_gap,
@@ -190,7 +190,7 @@ def _run_highs(model: Model, limits: Limits, squares: Squares) -> Outcome:
     for option, value in options.items():
         solver.setOptionValue(option, value)
     solver.passModel(_make_highs_problem(model))
-    solver.run()
+    _run_by_clock(solver, max(limits.seconds, SHORTEST))
     status, text = solver.getModelStatus(), solver.modelStatusToString(solver.getModelStatus()).lower()
     info = solver.getInfo()
     iterations = max(info.simplex_iteration_count, 0)
@@ -199,8 +199,31 @@ def _run_highs(model: Model, limits: Limits, squares: Squares) -> Outcome:
     found = info.primal_solution_status == highspy.SolutionStatus.kSolutionStatusFeasible
     x = np.array(solver.getSolution().col_value) if found else None
     continuous = limits.nodes == 0 or not any(model.integer)
-    bound = info.objective_function_value if continuous else info.mip_dual_bound
+    bound = info.mip_dual_bound
+    if continuous:  # the simplex method has a bound only where it came to its end
+        bound = info.objective_function_value if status == highspy.HighsModelStatus.kOptimal else -math.inf
     return Outcome(text, x, info.objective_function_value, bound, iterations=iterations)
+
+
+def _run_by_clock(solver: highspy.Highs, seconds: float) -> None:
+    """Solve until the clock of limits says that it is over; asking it also lets Python see a Ctrl-C.
+
+    Args:
+        solver: with its problem.
+        seconds: limit [s].
+    """
+    clock, end = get_clock(), read_clock() + seconds
+    if clock.read is time.perf_counter:
+        solver.setOptionValue("time_limit", seconds)  # searches within its search know of this limit alone
+
+    def look_at_clock(kind: Any, message: str, out: Any, answer: Any, data: Any) -> None:
+        if clock.stopped or clock.read() > end:
+            answer.user_interrupt = True
+
+    solver.setCallback(look_at_clock, None)
+    for kind in ("kCallbackMipInterrupt", "kCallbackSimplexInterrupt"):
+        solver.startCallback(getattr(highspy.cb.HighsCallbackType, kind))
+    solver.run()
 
 
 def _make_highs_problem(model: Model) -> highspy.HighsLp:

@@ -54,7 +54,8 @@ def validate_plan(scenario: FreeFlyerScenario, plan: Plan, tolerances: Tolerance
         tolerances: by how much it may miss its promises.
 
     Returns:
-        Robustness of the formula over the simulated centres of all bodies [m].
+        Robustness of the formula over the simulated centres of all bodies, at the control steps, as the environment
+        samples it [m].
 
     Raises:
         SolverFailed: a promise is broken; the status says which one.
@@ -70,7 +71,8 @@ def validate_plan(scenario: FreeFlyerScenario, plan: Plan, tolerances: Tolerance
     _check_ends(scenario, plan, objects, tolerances)
     _check_motion(scenario, plan, times, robots, tolerances)
     _check_distances(scenario, times, robots | objects, tolerances)
-    rho = compute_robustness(scenario, times, robots | objects)
+    steps = {name: points[::SUBSTEPS] for name, points in (robots | objects).items()}
+    rho = compute_robustness(scenario, times[::SUBSTEPS], steps)
     if rho < plan.robustness - tolerances.robustness:
         _reject(f"robustness is {rho:.6g} m, promised {plan.robustness:.6g} m")
     return rho

@@ -1,7 +1,8 @@
 """The ``impact`` command: what users type.
 
 Every command takes a scenario name or the path of a TOML file. With ``--json`` the last line of standard output is
-one JSON object and nothing else goes there. Exit codes: 0 done, 1 the thing itself failed, 2 bad input.
+one JSON object and nothing else goes there. Exit codes: 0 done, 1 the thing itself failed, 2 bad input, 130 ended by
+Ctrl-C.
 ``impact --version`` says which version this is.
 """
 
@@ -96,6 +97,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             show(result)
     except BrokenPipeError:  # who read it has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if result.get("interrupted"):
+        return 130
     # A plan that was checked and refused; one that was forced is flown.
     return int(getattr(command, "check", None) is not None and result["accepted"] is False)
 

@@ -13,10 +13,11 @@ from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from impact_envs.file import make_file_name, write_table
 from impact_envs.scenario import load_scenario
-from train.cli.progress import say_written
+from train.cli.progress import say_written, stop_on_interrupt
 from train.pictures.file import check_picture_path
 
 if TYPE_CHECKING:
+    from planners.budget import Clock
     from planners.free_flyer.published.violation import Violation
     from planners.plan import Plan
 
@@ -82,9 +83,10 @@ class Command:
             options["max_impacts"] = self.max_impacts
         if self.time_grid is not None:
             options["time_grid"] = self.time_grid
-        plan = make_plan(scenario, **options)
+        with stop_on_interrupt() as clock:
+            plan = make_plan(scenario, **options)
         self._write(scenario, plan)
-        return _summary(scenario, plan)
+        return _summary(scenario, plan) | _judge(plan, clock)
 
     def _check(self) -> None:
         """Refuse what cannot be written before anything is solved."""
@@ -261,12 +263,16 @@ def _parse_names(texts: tuple[str, ...]) -> dict[str, str]:
 
 
 def _summary(scenario: Any, plan: Plan) -> dict[str, Any]:
+    from planners.free_flyer.continuous_time import compute_continuous_robustness
+
+    between = compute_continuous_robustness(scenario.as_believed(), plan)
     deviation = {} if plan.deviation is None else {"deviation": plan.deviation, "deviation_bound": plan.deviation_bound}
     return {
         "scenario": scenario.name,
         "objective": plan.objective,
         # Solvers stop within 1e-8 of the optimum; digits beyond the sixth say nothing.
         "robustness": round(plan.robustness, 6),
+        "continuous_robustness": None if between is None else round(between, 6),
         "bound": round(plan.bound, 6),
         "gap": round(plan.gap, 6),
         **deviation,
@@ -286,6 +292,15 @@ def _summary(scenario: Any, plan: Plan) -> dict[str, Any]:
         "stage_seconds": plan.stage_seconds,
         "validated": plan.validated,
     }
+
+
+def _judge(plan: Plan, clock: Clock) -> dict[str, Any]:
+    """Return the verdict in words, and whether planning was interrupted."""
+    if clock.stopped:
+        return {"verdict": "interrupted: the best plan until then", "interrupted": True}
+    if plan.objective == "robustness" and plan.gap == 0.0:
+        return {"verdict": "proven: no plan is more robust"}
+    return {"verdict": "a plan, and what no plan exceeds"}
 
 
 def _describe_shapes(plan: Plan) -> dict[str, Any]:

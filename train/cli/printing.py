@@ -23,6 +23,7 @@ TABLE_WIDTH = 150  # columns; a narrower table would cut its numbers
 # Key of a result to what it is called and its unit; domains bring more units, see UNITS in train.
 NAMES: dict[str, tuple[str, str]] = {
     "robustness": ("robustness", "m"),
+    "continuous_robustness": ("robustness between control steps, too", "m"),
     "bound": ("no plan has more than", "m"),
     "gap": ("gap: what is missing to that, over max(1 m, it)", ""),
     "path_cost": ("path cost, sum of displacement² / duration", "m²/s"),

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
+from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task
 from rich.text import Text
 
-from planners.budget import Budget, watch_planning
+from planners.budget import Budget, Clock, use_clock, watch_planning
 
 
 class _TimeLeft(ProgressColumn):
@@ -24,9 +27,18 @@ class _TimeLeft(ProgressColumn):
         return Text(f"{max(budget.left, 0.0):.0f} s left")
 
 
+class _Stage(ProgressColumn):
+    """Show the stage, and what planning has come to."""
+
+    def render(self, task: Task) -> Text:
+        """Return the text of the present moment."""
+        come_to = str(task.fields["budget"].progress)
+        return Text(f"planning: {task.description}{come_to and ', ' + come_to},")
+
+
 @contextmanager
 def show_planning() -> Iterator[None]:
-    """Show stage, bound and time left of plans that are made inside, on a terminal; elsewhere nothing."""
+    """Show stage, size, best, bound and time left of plans that are made inside, on a terminal; elsewhere nothing."""
     console = Console(stderr=True)
     if not console.is_terminal:
         yield
@@ -38,9 +50,9 @@ def show_planning() -> Iterator[None]:
             shown.pop().stop()
         if stage is None:
             return
-        columns = (SpinnerColumn(), TextColumn("planning: {task.description},"), _TimeLeft())
+        columns = (SpinnerColumn(), _Stage(), _TimeLeft())
         display = Progress(*columns, console=console, transient=True)
-        display.add_task(f"{stage}{budget.news and ', ' + budget.news}", total=None, budget=budget)
+        display.add_task(stage, total=None, budget=budget)
         display.start()
         shown.append(display)
 
@@ -50,6 +62,34 @@ def show_planning() -> Iterator[None]:
     finally:
         while shown:
             shown.pop().stop()
+
+
+@contextmanager
+def stop_on_interrupt() -> Iterator[Clock]:
+    """Have the first Ctrl-C end planning inside with the best plan so far, and the second one end it at once.
+
+    Returns:
+        The clock of planning, which tells whether it was stopped.
+    """
+    clock, before = Clock(), signal.getsignal(signal.SIGINT)
+
+    def stop(number: int, frame: Any) -> None:
+        if clock.stopped:
+            raise KeyboardInterrupt
+        clock.stop()
+        # What prints at this moment must not be entered again.
+        os.write(2, b"impact: ending with the best plan so far; Ctrl-C again ends at once\n")
+
+    # Jobs that a shell runs in the background ignore Ctrl-C.
+    taken = before is signal.default_int_handler and threading.current_thread() is threading.main_thread()
+    if taken:
+        signal.signal(signal.SIGINT, stop)
+    try:
+        with use_clock(clock):
+            yield clock
+    finally:
+        if taken:
+            signal.signal(signal.SIGINT, before)
 
 
 def say_written(*paths: Path | str | None) -> None:

@@ -265,7 +265,7 @@ def _finish(
         plan,
         robustness=measured,
         gap=gap if gap > TOLERANCE else 0.0,
-        solve_seconds=budget.elapsed,
+        solve_seconds=budget.seconds,
         stage_seconds=dict(budget.stages),
         validated=True,
     )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planners.budget import read_clock
 from planners.cones import solve_cones
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.clearance_rows import solve_apart
@@ -74,17 +74,17 @@ def minimise_path_cost(
         SolverFailed: out of time.
     """
     failure: PlanningError | None = None
-    deadline = time.perf_counter() + time_limit
+    deadline = read_clock() + time_limit
     weights = options.weights if len(task.scenario.objects) > 1 else options.weights[:1]
     for wish, weight in itertools.product(options.wishes, weights):
-        left = deadline - time.perf_counter()
+        left = deadline - read_clock()
         if failure is not None and left <= 0.0:
             break
         # One wish that takes long leaves half of the time to the next one.
         limit = time_limit if options.together else 0.5 * left
         try:
             problem = build_cost_problem(task, size, rho, wish, options, limit, word, forbidden)
-            problem.deadline = deadline if options.together else time.perf_counter() + limit
+            problem.deadline = deadline if options.together else read_clock() + limit
             return problem.solve(weight, options.gap)
         except Infeasible as error:
             failure = error
@@ -136,7 +136,7 @@ class CostProblem:
         costs: of all pieces.
         time_limit: of each mixed-integer solution [s].
         options: how closely the least cost is approached.
-        deadline: of `time.perf_counter`, for all of them [s].
+        deadline: of the clock of limits, for all of them [s].
         bound: of the cost, proven so far [m^2/s].
         nodes: of branch and bound in each solution; None: any number.
     """
@@ -187,7 +187,7 @@ class CostProblem:
 
     def _find_time_left(self) -> float:
         """Return the time left for a solution [s]."""
-        left = self.deadline - time.perf_counter()
+        left = self.deadline - read_clock()
         if left <= 0.0:
             raise SolverFailed(self.grid.model.name, "time limit reached", "raise the time limit")
         return min(self.time_limit, left)

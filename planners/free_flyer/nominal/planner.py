@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners.budget import Budget, Work
+from planners.budget import Budget, Clock, Work, get_clock, use_clock
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.frame import Frame, find_frame
 from planners.free_flyer.nominal.diagnosis import find_relaxation
@@ -97,17 +98,22 @@ def _plan_in_frame(
     disc_scenario = scenario.model_copy(update={"objects": discs})
     if not scenario.has_polygons:
         return _plan_task(scenario, max_impacts, Budget(time_limit), solver, reserves, options, work, frame)
+    central: Plan | None = None
     if options.central is not None:
         # Half of the time each: what cannot be hit through its centre is found out late.
         time_limit = 0.5 * time_limit
-        try:
+        with suppress(PlanningError):
             brief = replace(options, diagnosis=0.0)
-            plan = _plan_task(scenario, max_impacts, Budget(time_limit), solver, reserves, brief, work, frame)
-            if plan.robustness >= options.central:
-                return replace(plan, shape_error=compute_shape_error(scenario, plan.impacts, plan.horizon))
+            central = _plan_task(scenario, max_impacts, Budget(time_limit), solver, reserves, brief, work, frame)
+    if central is None or central.robustness < (options.central or 0.0):
+        try:
+            plan = _plan_task(disc_scenario, max_impacts, Budget(time_limit), solver, reserves, options, work, frame)
         except PlanningError:
-            pass
-    plan = _plan_task(disc_scenario, max_impacts, Budget(time_limit), solver, reserves, options, work, frame)
+            if central is None:
+                raise
+            plan = central  # less robustness before none
+    else:
+        plan = central
     return replace(plan, shape_error=compute_shape_error(scenario, plan.impacts, plan.horizon))
 
 
@@ -220,11 +226,23 @@ class _Climber:
         with budget.stage("robustness"):
             # An attempt leaves time for the next one.
             share = options.attempt_share if len(task.scenario.objects) == 1 else options.joint_share
-            part = Budget(budget.left * share)
+            part = budget.share(budget.left * share)
             optimum = search(task, self.max_impacts, part, options)
             self.rho = optimum.rho
-            budget.news = f"robustness {optimum.rho:.4g} m of at most {optimum.bound:.4g} m"
             quick = None if optimum.found else quicken_legs(task, optimum, search, part, options)
+        try:
+            return self._finish(optimum, quick)
+        except PlanningError:
+            clock = get_clock()
+            if not clock.stopped or not options.haste:
+                raise
+        # The search was interrupted; its impacts are worth a few seconds more.
+        with use_clock(Clock(clock.read)):
+            return plan_events(task, optimum, [], budget.share(options.haste), replace(options, thorough=False))
+
+    def _finish(self, optimum: RobustnessOptimum, quick: tuple[NominalTask, RobustnessOptimum] | None) -> Plan:
+        """Return a plan with the impacts that were found."""
+        task, options, budget = self.task, self.options, self.budget
         if optimum.found is not None:
             return plan_composed(task, optimum, optimum.found, budget, options)
         if quick is not None:
@@ -262,7 +280,7 @@ def quicken_legs(
         return None
     quick = replace(task, reserves=task.reserves.quickened())
     try:
-        found = search(quick, optimum.size.impacts, Budget(budget.left / 2), options)
+        found = search(quick, optimum.size.impacts, budget.share(budget.left / 2), options)
     except PlanningError:
         return None
     return (quick, found) if found.rho >= options.deeper * optimum.rho else None

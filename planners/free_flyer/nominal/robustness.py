@@ -78,8 +78,11 @@ def maximise_robustness(
         if found is not None:
             return found
     best: RobustnessOptimum | None = None
+    progress, length = budget.progress, task.frame.length
+    progress.bound = ceiling * length
     for size in order_sizes(options, fewest, max_impacts):
         impacts, pieces = size.impacts, size.pieces
+        progress.impacts, progress.pieces = impacts, pieces
         if best is not None and pieces > best.size.pieces and impacts > best.size.impacts:
             continue
         if best is not None and not options.thorough and impacts > best.size.impacts + 1:
@@ -102,6 +105,7 @@ def maximise_robustness(
             break
         if best is None or found.rho > best.rho + TOLERANCE:
             best = replace(found, rho=ceiling) if ceiling - found.rho <= TOLERANCE else found
+            progress.robustness = best.rho * length
         if best.rho >= options.enough * ceiling:
             break
     if best is None:
@@ -163,16 +167,18 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
         SolverFailed: out of time.
     """
     ceiling = compute_geometric_bound(task.scenario, task.demands, task.solver)
-    rho, pieces = ceiling, 1
+    rho, pieces, progress = ceiling, 1, budget.progress
     alone: dict[str, tuple[NominalTask, RobustnessOptimum]] = {}
     for name in task.scenario.objects:
         scenario = restrict_to_object(task.scenario, name)
         if scenario is None:
             continue
         own = replace(task, scenario=scenario, demands=read_demands(scenario, task.reserves.wall))
+        progress.about, progress.robustness = f"{name} alone", None
         optimum = maximise_robustness(own, max_impacts, budget, replace(options, expected=None))
         rho, pieces = min(rho, optimum.rho), max(pieces, optimum.size.pieces)
         alone[name] = own, optimum
+    progress.about, progress.robustness, progress.bound = "all objects", None, ceiling * task.frame.length
     numbers = {name: optimum.size.impacts for name, (_, optimum) in alone.items()}
     large = options.thorough and is_large(task, numbers, pieces, options)
     if large:
@@ -234,7 +240,7 @@ def _compose(
     """
     end, shares = budget.elapsed + options.compose.time * budget.left, options.compose.shares
     for left, share in zip(range(len(shares), 0, -1), shares, strict=True):
-        part = Budget((end - budget.elapsed) / left)
+        part = budget.share((end - budget.elapsed) / left)
         kept = max(options.least, share * rho[0]), rho[1]
         found = compose_objects(task, numbers, max_impacts, pieces, kept, lambda part=part: part.left, options)  # type: ignore[misc]
         if found is not None:

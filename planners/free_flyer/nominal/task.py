@@ -201,6 +201,7 @@ class PlanOptions:
         halvings: how often the reserves are halved for a task that leaves no room for them.
         turns: factors of the time for starting and stopping, tried when motions prove too quick to be smoothed.
         words: number of sequences of impacts tried at each of these.
+        haste: time for a plan with the impacts found so far, once planning is interrupted [s].
         diagnosis: greatest time for finding what to loosen where there is no plan; 0: it is not said [s].
         thorough: whether what to loosen is said, and robustness is improved for longer than there is a plan.
         central: least robustness of a plan that hits polygons through their centres, else they are planned as discs;
@@ -230,6 +231,7 @@ class PlanOptions:
     halvings: int = 2
     turns: tuple[float, ...] = (1.0, 1.5)
     words: int = 3
+    haste: float = 5.0
     diagnosis: float = 20.0
     thorough: bool = True
     central: float | None = 0.02

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from planners.budget import Budget
+from planners.budget import Budget, get_clock
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.task import NominalTask
 
@@ -57,6 +57,8 @@ def judge_trials(
     late = budget.left <= 0.0 or any(trial.error and "time limit" in trial.error.status for trial in trials)
     done = "" if task.work is None else f" ({task.work.done:.0f} units of work done)"
     limit = f"the time limit of {budget.limit:g} s{done}" if late else "these numbers of impacts, pieces and reserves"
+    if get_clock().stopped:
+        limit = f"the {budget.seconds:.3g} s until it was interrupted{done}"
     tried = f"with up to {max_impacts} impacts, {most} straight pieces a leg and {_name_reserves(trials)}"
     status = f"no plan found, and none excluded, within {limit}: tried {tried}; {_describe_failures(trials, task)}"
     remedy = "raise the time limit" if late else "allow more impacts or a longer horizon"

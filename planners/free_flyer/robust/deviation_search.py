@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -10,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_envs.stl import Always, And, Predicate
+from planners.budget import read_clock
 from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.robust.task import RobustTask
 from planners.free_flyer.specification.grid import GridSize
@@ -55,7 +55,7 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
         Infeasible: proven that not even the smallest deviation that counts is borne.
         SolverFailed: out of time.
     """
-    start, options = time.perf_counter(), task.options.deviation
+    start, options = read_clock(), task.options.deviation
     if task.segments is not None:
         return _solve_grid(task, task.segments, time_limit)
     ceiling = compute_ceiling(task)
@@ -67,7 +67,7 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
             size, wanted = GridSize(impacts, pieces, passing), best.delta * (1.0 + options.worth) if best else 0.0
             if wanted >= ceiling:
                 break
-            left = (0.25 if best else 1.0) * time_limit - (time.perf_counter() - start)
+            left = (0.25 if best else 1.0) * time_limit - (read_clock() - start)
             try:
                 delta, bounds[size] = search_deviation(task, size, wanted, ceiling, options.rough_gap, left)
             except SolverFailed:
@@ -78,7 +78,7 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
             if delta > wanted:
                 best = DeviationOptimum(size, delta, bounds[size])
         if best is not None:
-            left = time_limit - (time.perf_counter() - start)
+            left = time_limit - (read_clock() - start)
             with suppress(SolverFailed):
                 delta, bound = search_deviation(task, best.size, best.delta, best.bound, options.gap, left)
                 bounds[best.size] = bound
@@ -111,14 +111,14 @@ def search_deviation(
     Raises:
         SolverFailed: out of time before anything was found.
     """
-    start = time.perf_counter()
+    start = read_clock()
     low, near = known, True
     options = task.options.deviation
     target = min(known * (1.0 + options.gap) or options.smallest, high)
     while True:
         try:
             grid, _ = task.build(size, target)
-            x = solve(grid.model, time_limit - (time.perf_counter() - start), solver=task.solver).x
+            x = solve(grid.model, time_limit - (read_clock() - start), solver=task.solver).x
         except Infeasible:
             high = target
         except SolverFailed:

@@ -159,7 +159,7 @@ def _finish(task: RobustTask, optimum: DeviationOptimum, events: RobustEvents, b
         impacts=_make_impacts(scenario, sequence),
         robots=robots,
         objects=objects,
-        solve_seconds=budget.elapsed,
+        solve_seconds=budget.seconds,
         stage_seconds=dict(budget.stages),
         validated=True,
         deviation=sequence.delta,

@@ -110,4 +110,4 @@ def _compute_inradius(scenario: FreeFlyerScenario, need: Requirement, solver: st
         model.require(distance + rho)
     model.objective = -rho
     # An upper bound remains one when it is rounded up.
-    return float(np.round(-solve(model, np.inf, solver=solver).objective + 5e-10, 9))
+    return float(np.round(-solve(model, np.inf, solver=solver).bound + 5e-10, 9))

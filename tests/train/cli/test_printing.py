@@ -88,15 +88,16 @@ def test_a_closed_pipe_is_quiet(form):
 
 def test_stages_are_told_to_who_watches():
     told = []
-    with watch_planning(lambda budget, stage: told.append((stage, budget.news))):
+    with watch_planning(lambda budget, stage: told.append((stage, str(budget.progress)))):
         budget = Budget(60.0)
         with budget.stage("robustness"):
-            budget.news = "0.5 m"
+            budget.progress.impacts, budget.progress.pieces, budget.progress.bound = 2, 1, 0.5
         with budget.stage("effort"):
             pass
     with budget.stage("nobody watches"):
         pass
-    assert told == [("robustness", ""), (None, "0.5 m"), ("effort", "0.5 m"), (None, "0.5 m")]
+    said = "2 impacts, 1 pieces a leg, at most 0.5 m"
+    assert told == [("robustness", ""), (None, said), ("effort", said), (None, said)]
 
 
 def test_help_says_which_domains_are_planned(capsys):
