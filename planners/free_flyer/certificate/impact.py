@@ -158,8 +158,8 @@ def _miss_momentum(one: Collision, scenario: FreeFlyerScenario) -> Fraction:
     """Return the momentum that is lost or gained over the smaller mass [m/s]."""
     masses = [Fraction(scenario.body(name).mass) for name in (one.impact.robot, one.impact.object)]
     changes = _subtract(one.robot_plus, one.robot_minus), _subtract(one.object_plus, one.object_minus)
-    gained = [sum(mass * change[axis] for mass, change in zip(masses, changes, strict=True)) for axis in (0, 1)]
-    return Fraction(max(map(abs, gained))) / min(masses)
+    gained = [masses[0] * one + masses[1] * other for one, other in zip(*changes, strict=True)]
+    return max(map(abs, gained)) / min(masses)
 
 
 def _miss_tangent(one: Collision) -> Fraction:

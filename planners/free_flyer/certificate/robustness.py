@@ -159,14 +159,14 @@ class _Bounding:
 
     def _bound_best(self, operands: Sequence[Formula], part: Interval, sign: int) -> Range:
         """Return a lower bound of the least of the best operand over a part, and an upper one: in its middle."""
-        middle = sum(part) / 2
+        middle = (part[0] + part[1]) / 2
         low = max(self.bound(operand, part, sign)[0] for operand in operands)
         high = max(self.bound(operand, (middle, middle), sign)[1] for operand in operands)
         return low, high
 
     def _bound_some(self, child: Formula, part: Interval, window: tuple[float, float], sign: int) -> Range:
         """Return the same of the best instant within a window ahead."""
-        middle = sum(part) / 2
+        middle = (part[0] + part[1]) / 2
         shared = self._shift((part[1], part[0]), window)
         if shared[0] < shared[1]:
             low = -self.bound(child, shared, -sign)[1]
@@ -176,7 +176,7 @@ class _Bounding:
 
     def _bound_until(self, formula: Until, part: Interval) -> Range:
         """Return the same of an until: what comes is looked for where all times of the part may look."""
-        middle = sum(part) / 2
+        middle = (part[0] + part[1]) / 2
         shared = self._shift((part[1], part[0]), formula.interval)
         if shared[0] <= shared[1]:
             low = self._find_best_until(formula, part[0], shared)[0]
@@ -294,6 +294,7 @@ def _make_linear_leaf(formula: Linear) -> _Leaf:
 def _make_norm_leaf(formula: Distance | Speed) -> _Leaf:
     """Return the leaf of a bound on a norm; its polynomial is the square of the norm."""
     bound = Fraction(formula.bound)
+    pairs: list[tuple[str, ...]]
     if isinstance(formula, Distance):
         pairs = [(f"{formula.a}.{axis}", f"{formula.b}.{axis}") for axis in "xy"]
     else:
