@@ -30,8 +30,8 @@ from train.cli.progress import show_planning
 from train.evaluation.errors import Diverged, WorkerLost
 
 COMMANDS = (
-    "list", "plan", "certify", "run", "play", "train", "tune", "dataset", "evaluate", "compare", "report", "reproduce",
-    "demo",
+    "list", "plan", "certify", "run", "play", "train", "tune", "dataset", "evaluate", "compare", "break", "report",
+    "reproduce", "demo",
 )  # fmt: skip
 # Faults of the disk; some libraries do not say of which file.
 DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
