@@ -11,6 +11,7 @@ ORACLE = "planners.free_flyer.oracle:FreeFlyerOracle"
 ORACLE_BATCH = "planners.free_flyer.oracle:FreeFlyerOracleBatch"
 OPTIONS = "planners.free_flyer.belief.options:get_options"
 VARIANTS = "planners.free_flyer.belief.options:VARIANTS"
+CERTIFICATE = "planners.free_flyer.certificate.certificate:certify_plan"
 CHECK_PLAN = "planners.free_flyer.expert:check_plan"
 # How many of the first features are the one-hot number of the impact in the plan.
 IMPACT_NUMBERS = "planners.free_flyer.closed_loop.features:ONE_HOT"

@@ -31,7 +31,8 @@ from train.cli.progress import show_planning
 from train.evaluation.errors import Diverged, WorkerLost
 
 COMMANDS = (
-    "list", "plan", "run", "play", "train", "tune", "dataset", "evaluate", "compare", "report", "reproduce", "demo",
+    "list", "plan", "certify", "run", "play", "train", "tune", "dataset", "evaluate", "compare", "break", "report",
+    "reproduce", "demo",
 )  # fmt: skip
 # Faults of the disk; some libraries do not say of which file.
 DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
@@ -100,7 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if result.get("interrupted"):
         return 130
     # A plan that was checked and refused; one that was forced is flown.
-    return int(getattr(command, "check", None) is not None and result["accepted"] is False)
+    refused = getattr(command, "check", None) is not None and result["accepted"] is False
+    return int(refused or result.get("confirmed") is False)
 
 
 def _parse(arguments: list[str]) -> Command:

@@ -215,7 +215,7 @@ def play_batched(cases: Sequence[Case], jobs: Sequence[Job], threads: int = 1) -
             for start in range(0, len(seeds), count):
                 shard = seeds[start : start + count]
                 filled = np.array(shard + shard[:1] * (count - len(shard)), np.int64)
-                found = _play_shard(batch, policy, filled)
+                found = play_worlds(batch, policy, filled)
                 for k, seed in enumerate(shard):
                     key = {"scenario": case.scenario.name, "suite": case.suite, "policy": name, "seed": seed}
                     yield key | _make_row(found, k, case.scenario.domain), None
@@ -225,27 +225,34 @@ def play_batched(cases: Sequence[Case], jobs: Sequence[Job], threads: int = 1) -
 
 
 @dataclass
-class _Ends:
-    """What the episodes of N worlds came to, shape (N,) each."""
+class Ends:
+    """What the episodes of N worlds came to, shape (N,) each; ``joint``: what was measured last, shape (N, size)."""
 
     robustness: np.ndarray
     success: np.ndarray
     steps: np.ndarray
     impacts: np.ndarray
     failure: np.ndarray
+    joint: np.ndarray
     counts: dict[str, np.ndarray]
 
 
-def _play_shard(batch: Any, policy: BatchPolicy, seeds: np.ndarray) -> _Ends:
-    """Play an episode in every world."""
+def play_worlds(batch: Any, policy: BatchPolicy, seeds: np.ndarray) -> Ends:
+    """Play an episode in every world.
+
+    Args:
+        batch: of N worlds.
+        policy: who acts in them.
+        seeds: of the episodes, shape (N,).
+    """
     count = len(seeds)
     output, everywhere = batch.make_output(agents=isinstance(policy, _Shared)), np.ones(count, bool)
     batch.seed(np.arange(count), seeds)
     policy.begin(seeds)
     batch.start(everywhere, output)
-    ends = _Ends(
+    ends = Ends(
         np.zeros(count), np.zeros(count, bool), np.zeros(count, np.int64), np.zeros(count, np.int64),
-        np.full(count, "", object), {},
+        np.full(count, "", object), np.zeros_like(output.joint), {},
     )  # fmt: skip
     running = everywhere.copy()
     while running.any():
@@ -255,12 +262,13 @@ def _play_shard(batch: Any, policy: BatchPolicy, seeds: np.ndarray) -> _Ends:
         ends.impacts[running] += batch.impacts[running]
         over = batch.over & running
         if over.any():
+            ends.joint[over] = output.joint[over]
             _keep_ends(ends, over, batch, policy)
             running &= ~over
     return ends
 
 
-def _keep_ends(ends: _Ends, over: np.ndarray, batch: Any, policy: BatchPolicy) -> None:
+def _keep_ends(ends: Ends, over: np.ndarray, batch: Any, policy: BatchPolicy) -> None:
     """Keep what the episodes that are over, a mask of shape (N,), came to."""
     robustness, success = judge(batch.outcome)
     ends.robustness[over], ends.success[over] = robustness[over], success[over]
@@ -272,7 +280,7 @@ def _keep_ends(ends: _Ends, over: np.ndarray, batch: Any, policy: BatchPolicy) -
         kept[over] = values[over]
 
 
-def _make_row(ends: _Ends, k: int, domain: str) -> dict[str, Any]:
+def _make_row(ends: Ends, k: int, domain: str) -> dict[str, Any]:
     """Return world k's numbers by the metrics' names; None is what a batch does not know."""
     routine = find_part("planners", domain, "ROUTINE") or ()
     counts = {name: int(values[k]) for name, values in ends.counts.items()}

@@ -150,7 +150,7 @@ def evaluate_cases(
     if out is not None:
         import pyarrow  # noqa: F401  # that it is missing must not be found out after everything was played
     labels = read_policies(policies)
-    _check_request(cases, labels, episodes, seed, workers)
+    check_request(cases, labels, episodes, seed, workers)
     for label in labels if batched else ():
         check_batched(label)
     jobs = [
@@ -165,7 +165,7 @@ def evaluate_cases(
         missing = [job for job in jobs if _key(cases, job) not in rows]
         if journal:
             journal.write_manifest(_describe(cases, labels, episodes, seed))
-        cases = _make_plans(cases, missing)
+        cases = make_plans(cases, missing)
         bar = (TextColumn("evaluating"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         # Closed, not left to the garbage collector: an interruption must reach the workers at once.
         with (
@@ -194,7 +194,8 @@ def _sum_up(
     return result
 
 
-def _check_request(cases: Sequence[Case], labels: Sequence[str], episodes: int, seed: int, workers: int) -> None:
+def check_request(cases: Sequence[Case], labels: Sequence[str], episodes: int, seed: int, workers: int) -> None:
+    """Raise unless policies, cases and numbers fit together; see evaluate_cases."""
     check_names("policy", labels)
     for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("workers", workers, 1)):
         if value < least:
@@ -280,7 +281,7 @@ def _key(cases: Sequence[Case], job: Job) -> tuple[str, str, str, int]:
     return case.scenario.name, case.suite, job.policy, job.seed
 
 
-def _make_plans(cases: Sequence[Case], jobs: Iterable[Job]) -> list[Case]:
+def make_plans(cases: Sequence[Case], jobs: Iterable[Job]) -> list[Case]:
     """Plan once per believed scenario, and not in the workers: a plan may depend on how busy they are."""
     needed = {job.case for job in jobs if has_expert(job.policy) and has_planner(cases[job.case].scenario)}
     plans: dict[str, Plan] = {}

@@ -1,0 +1,102 @@
+"""The ``impact break`` command."""
+
+from __future__ import annotations
+
+import time
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from tyro.conf import Positional
+
+from impact_envs.errors import InputError
+from train.cli.progress import say_written
+from train.evaluation.case import make_case
+
+WIDE, NARROW = 64, 16  # worlds that are played together: in the search, and to make failures milder
+
+
+@dataclass
+class Command:
+    """Search the worlds that a suite may draw for failures of a policy, and write the mildest of each cause."""
+
+    extras: ClassVar[tuple[str, ...]] = ("plan", "report", "break")
+    policy: Positional[str]
+    """As impact evaluate --batched takes it; not the oracle."""
+    scenario: Positional[str]
+    """Shipped name or TOML file."""
+    suite: str = "hard"
+    """Suite whose ranges are searched."""
+    episodes: int = 3000
+    """Of the search."""
+    method: Literal["random", "cross_entropy", "cma"] = "cross_entropy"
+    """How worlds are chosen, after 40 % at random; cma needs the package cma."""
+    seed: int = 1_000_000
+    """First seed: of the tuning range, so that evaluation seeds stay unseen."""
+    most: int = 5
+    """Counterexamples at most, one of a cause."""
+    fresh: int = 64
+    """Other seeds on which each counterexample's failure rate is measured."""
+    workers: int = 1
+    """Threads."""
+    out: Path | None = None
+    """Write a copy of the scenario with a suite break_1, break_2, ... for each; every command takes it."""
+    json: bool = False
+
+    def run(self) -> dict[str, Any]:
+        """Return counts of the search and the counterexamples."""
+        from train.evaluation.evaluate import check_request, make_plans
+        from train.evaluation.player import Job
+        from train.falsification.arena import Arena
+        from train.falsification.counterexample import find_counterexamples
+        from train.falsification.search import SearchOptions, search_failures
+        from train.falsification.suite_file import write_suites
+
+        self._check()
+        case = make_case(self.scenario, self.suite)
+        check_request([case], [self.policy], self.episodes, self.seed, self.workers)
+        Arena(case, self.policy, WIDE, NARROW)  # refuses what cannot be searched before anything is planned
+        (case,) = make_plans([case], [Job(0, self.policy, self.seed)])
+        options = SearchOptions(self.method, self.episodes)
+        with closing(Arena(case, self.policy, WIDE, NARROW, self.workers)) as arena:
+            start = time.perf_counter()
+            played = search_failures(arena, self.seed, options)
+            seconds, searched = time.perf_counter() - start, arena.episodes
+            fresh = self.seed + 100_000 + np.arange(self.fresh)
+            found = find_counterexamples(arena, played, self.most, fresh)
+            total = arena.episodes
+        names = write_suites(case, self.scenario, found, self.out) if self.out else [""] * len(found)
+        if self.out:
+            say_written(self.out)
+        rows = [
+            {
+                "suite": name or f"break_{number}",
+                "cause": one.cause,
+                "seed": one.seed,
+                "robustness": one.robustness,
+                "failure_rate": one.failure_rate,
+                "found": one.found,
+                "not_nominal": {key.removeprefix("true."): one.values[key] for key in one.moved},
+            }
+            for number, (name, one) in enumerate(zip(names, found, strict=True), start=1)
+        ]
+        return {
+            "scenario": case.scenario.name,
+            "suite": self.suite,
+            "policy": self.policy,
+            "episodes": searched,
+            "failures": int(np.sum(~played.success)),
+            "least_robustness": float(played.robustness.min()),
+            "episodes_per_minute": 60.0 * searched / max(seconds, 1e-9),
+            "episodes_with_minimising": total,
+            "counterexamples": rows,
+        }
+
+    def _check(self) -> None:
+        for name in ("episodes", "most", "fresh"):
+            if getattr(self, name) < 1:
+                raise InputError(f"--{name} {getattr(self, name)}: at least 1 is needed")
+        if self.out is not None and not self.out.absolute().parent.is_dir():
+            raise InputError(f"cannot write {self.out}: folder {self.out.absolute().parent} does not exist")
