@@ -49,8 +49,8 @@ from agents.shared_actor import (
 from agents.source import Source, make_source
 from impact_envs.errors import InputError
 from planners import check_options, has_planner, list_options, make_expert_batch, make_plan
+from train.errors import Diverged
 from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS, make_case
-from train.evaluation.errors import Diverged
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
 from train.limits import check_hidden, check_least, check_ranges, check_same

@@ -43,8 +43,8 @@ from agents.sb3 import (
 from agents.training_state import load_training, read_training, save_training
 from impact_envs.errors import InputError
 from train.arguments import Args
+from train.errors import Diverged
 from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS
-from train.evaluation.errors import Diverged
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
 from train.ground import DEFAULT_SUITE, Ground, compute_scores, judge, make_grounds, read_cases

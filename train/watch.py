@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from impact_envs.errors import InputError
 from planners.errors import PlanningError
-from train.evaluation.errors import Diverged
+from train.errors import Diverged
 
 A = TypeVar("A")
 

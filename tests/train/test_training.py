@@ -26,8 +26,8 @@ from impact_envs.scenario import Scenario
 from planners.plan import Plan
 from train import ground, residual
 from train.cli.main import main as run_command
+from train.errors import Diverged
 from train.evaluation.case import EVALUATION_SEEDS, REPORT_SEEDS, TUNING_SEEDS
-from train.evaluation.errors import Diverged
 from train.evaluation.paired import QUANTILE, Gain, compute_gain, compute_interquartile_mean, summarise_pairs
 from train.ground import compute_scores
 from train.residual import LEAST_LOSS, Args, check_evaluations, compare_episodes, main, rate_evaluation

@@ -28,7 +28,7 @@ from impact_envs.errors import InputError, choices
 from impact_envs.extras import describe_missing
 from planners.errors import PlanningError
 from train.cli.progress import show_planning
-from train.evaluation.errors import Diverged, WorkerLost
+from train.errors import Diverged, WorkerLost
 
 COMMANDS = (
     "list", "plan", "certify", "run", "play", "train", "tune", "dataset", "evaluate", "compare", "break", "report",

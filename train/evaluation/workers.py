@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
-from train.evaluation.errors import WorkerLost
+from train.errors import WorkerLost
 
 ATTEMPTS = 2  # a job that ended this many workers is not given to another one
 

@@ -16,7 +16,7 @@ import pytest
 
 from impact_envs import InputError
 from tests.train.processes import ROOT, count_rows, find_children, is_alive, list_children, start, wait_until
-from train.evaluation.errors import WorkerLost
+from train.errors import WorkerLost
 from train.evaluation.evaluate import evaluate
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.workers import work
