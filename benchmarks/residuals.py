@@ -58,8 +58,8 @@ class Args:
     """Train residuals on the published form of the expert, too."""
     clone: bool = False
     """Clone the free-flyers' expert once for each row, too."""
-    generalist: bool = False
-    """Train one policy for the free-flyers of all rows in all their suites, too, and judge it in each."""
+    generalists: int = 0
+    """Training seeds of one policy for the free-flyers of all rows in all their suites, judged in each."""
     suites: tuple[str, ...] = ()
     """Judge the first training seed in these suites, too."""
     episodes: int = 200
@@ -87,7 +87,7 @@ def main(args: Args) -> None:
     for scenario, suite in rows:
         make_cases([scenario], list(dict.fromkeys((suite, *args.suites))))  # says now what is wrong with them
     print_table("", [describe_machine()])
-    shared = make_generalists(args, rows) if args.generalist else []
+    shared = make_generalists(args, rows) if args.generalists else []
     for scenario, suite in rows:
         start = time.perf_counter()
         policies, found = make_row(args, scenario, suite)
@@ -158,7 +158,7 @@ def make_generalists(args: Args, rows: Sequence[tuple[str, str]]) -> list[str]:
     scenarios, suites = (tuple(dict.fromkeys(part)) for part in zip(*shared, strict=True))
     share = len(scenarios) * len(suites) * TrainingArgs.group
     names = []
-    for seed in range(args.runs):
+    for seed in range(args.generalists):
         out = args.out / "generalist" / f"seed{seed}"
         worlds = share * math.ceil(TrainingArgs.worlds / share)
         train(args, TrainingArgs(scenarios, suites, seed=seed, out=out, worlds=worlds, eval_episodes=100), 3)
