@@ -44,6 +44,10 @@ class Command:
     """Limit of the solvers [s]."""
     time_grid: int | None = None
     """impact_uncertainty only: plan on so many equal segments of time, with zonotope hulls."""
+    relax: bool = False
+    """Where there is no plan, plan the task with the least loosening of its formula, and say what is given up."""
+    weights: tuple[float, ...] = ()
+    """With --relax: price of a metre of loosening, of each conjunct of the formula in their order; 1 each without."""
     out: Path | None = None
     """Write the plan here as JSON."""
     csv: Path | None = None
@@ -83,6 +87,8 @@ class Command:
             options["max_impacts"] = self.max_impacts
         if self.time_grid is not None:
             options["time_grid"] = self.time_grid
+        if self.relax:
+            return self._plan_relaxed(scenario, options)
         with stop_on_interrupt() as clock:
             plan = make_plan(scenario, **options)
         self._write(scenario, plan)
@@ -102,6 +108,10 @@ class Command:
             raise InputError(f"--rename {' '.join(self.rename)} needs --check DIR, a folder of published plan files")
         if self.time_grid is not None and self.objective != "impact_uncertainty":
             raise InputError(f"--time-grid {self.time_grid} needs --objective impact_uncertainty, got {self.objective}")
+        if self.weights and not self.relax:
+            raise InputError(f"--weights {' '.join(map(str, self.weights))} needs --relax")
+        if self.relax and (self.objective != "robustness" or self.encoding != "events" or self.check):
+            raise InputError("--relax plans for --objective robustness with --encoding events, and checks no plan")
         if self.encoding == "bezier":
             if self.objective != "robustness":
                 raise InputError(f"--encoding bezier has objective robustness, got {self.objective}")
@@ -125,6 +135,20 @@ class Command:
         if self.plot:
             find_part("train", scenario.domain, "PLAN_PICTURE")(scenario, plan, self.plot)
         say_written(self.out, *samples, self.published, self.plot)
+
+    def _plan_relaxed(self, scenario: Any, options: dict[str, Any]) -> dict[str, Any]:
+        from planners.free_flyer.relaxed_plan import make_relaxed_plan
+
+        del options["objective"]
+        with stop_on_interrupt() as clock:
+            found = make_relaxed_plan(scenario.as_believed(), self.weights, **options)
+        self._write(scenario, found.plan)
+        told = _summary(found.scenario, found.plan) | _judge(found.plan, clock)
+        if not found.given_up:
+            return told | {"given_up": []}
+        given_up = [{"conjunct": one.conjunct, "missed": one.missed} for one in found.given_up]
+        relaxed = {"asked_robustness": found.robustness, "relaxed_formula": str(found.scenario.specification)}
+        return told | relaxed | {"verdict": "a plan of the relaxed task", "given_up": given_up}
 
     def _plan_by_bezier(self, scenario: Any) -> dict[str, Any]:
         from planners.free_flyer.published.encoding import make_bezier_plan

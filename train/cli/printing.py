@@ -26,6 +26,8 @@ NAMES: dict[str, tuple[str, str]] = {
     "continuous_robustness": ("robustness between control steps, too", "m"),
     "bound": ("no plan has more than", "m"),
     "gap": ("gap: what is missing to that, over max(1 m, it)", ""),
+    "asked_robustness": ("robustness of the formula as asked", "m"),
+    "relaxed_formula": ("relaxed formula, areas renamed where they changed", ""),
     "path_cost": ("path cost, sum of displacement² / duration", "m²/s"),
     "path_cost_bound": ("no plan as robust costs less than", "m²/s"),
     "effort": ("effort, sum of |force| dt", "N s"),
@@ -46,6 +48,7 @@ NAMES: dict[str, tuple[str, str]] = {
     "shape_error": ("robustness may be lower by", "m"),
 }
 COLUMNS = {
+    "missed": "missed by [m]",
     "time": "time [s]",
     "a": "body",
     "b": "other body",

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -125,6 +126,7 @@ def build_event_grid(
     word: Word | None = None,
     elastic: bool = False,
     sharp: bool = False,
+    loose_speeds: bool = True,
 ) -> EventGrid:
     """Build the model of all motions with a given number of impacts, without any formula or distances.
 
@@ -137,6 +139,7 @@ def build_event_grid(
         word: who hits what at each impact; None: anybody anything.
         elastic: whether speeds, and rows that are added in parts, may be violated; see `Model`.
         sharp: whether speeds of several objects are capped by what the word says of their first and last impacts.
+        loose_speeds: whether an elastic model may exceed speeds, too.
 
     Returns:
         The grid; `add_demands` adds the formula, the stages their objectives, `solve_apart` the distances.
@@ -179,7 +182,7 @@ def build_event_grid(
     _require_hits(grid, scenario)
     if len(objects) > 1:
         _add_rest_rows(grid, scenario)
-    _add_speed_rows(grid)
+    _add_speed_rows(grid, loose_speeds)
     for name in objects:
         own = find_own(word, name) if sharp and word is not None else None
         _add_hitter_rows(grid, name, compute_impact_caps(scenario, name, impacts, reserves, own))
@@ -367,13 +370,13 @@ def _add_rest_rows(grid: EventGrid, scenario: FreeFlyerScenario) -> None:
                     grid.model.require(steps[d] * sign, unless=after)
 
 
-def _add_speed_rows(grid: EventGrid) -> None:
+def _add_speed_rows(grid: EventGrid, loose: bool) -> None:
     """Bound every piece by the way at the greatest speed, in its duration less the time for starting and stopping.
 
     |D| <= v (T - v / a) is what a leg from rest to rest needs at acceleration a and speed v at most.
     """
     for name, knots in grid.knots.items():
-        with grid.model.part(f"speed of {name}", 1e3):
+        with grid.model.part(f"speed of {name}", 1e3) if loose else nullcontext():
             for piece in range(grid.count):
                 share = grid.first_turn if piece < grid.pieces else 1.0
                 cruise = grid.duration(piece) - share * grid.turns.get(name, 0.0)

@@ -12,7 +12,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.budget import Budget, Clock, Work, get_clock, use_clock
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.frame import Frame, find_frame
-from planners.free_flyer.nominal.diagnosis import find_relaxation
+from planners.free_flyer.nominal.diagnosis import Relaxation, find_relaxation, list_amounts
 from planners.free_flyer.nominal.event_sequence import Word
 from planners.free_flyer.nominal.finishing import plan_composed, plan_events, plan_long_ways, plan_patiently
 from planners.free_flyer.nominal.robustness import (
@@ -27,6 +27,7 @@ from planners.free_flyer.nominal.verdict import Trial, judge_trials
 from planners.free_flyer.nominal.ways import count_pieces
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.central_hit import compute_shape_error
+from planners.free_flyer.specification.loosening import loosen
 from planners.free_flyer.specification.requirement import read_demands
 from planners.free_flyer.validation import Tolerances, validate_plan
 from planners.plan import Plan
@@ -297,8 +298,23 @@ def _explain(
     found = find_relaxation(task, max_impacts, options.least, limit, pieces)
     if not found:
         return failure
-    remedy = f"a plan would exist with {' and '.join(str(relaxation) for relaxation in found)}"
-    return Infeasible(failure.problem, failure.status, remedy)
+    exists = "a plan exists" if _try_remedy(task, found, max_impacts, options) else "impacts would exist"
+    return Infeasible(failure.problem, failure.status, f"{exists} with {' and '.join(map(str, found))}")
+
+
+def _try_remedy(task: NominalTask, found: Sequence[Relaxation], max_impacts: int, options: PlanOptions) -> bool:
+    """Return whether the task has a plan once its formula is loosened by what was found, and a little more."""
+    amounts = list_amounts(task, found)
+    if sum(amount > 0.0 for amount in amounts) < len(found):
+        return False  # it takes faster robots
+    room = options.remedy_room
+    try:
+        loose = loosen(task.scenario, [a / task.frame.length + room if a > 0.0 else 0.0 for a in amounts])
+        tried = replace(task, scenario=loose, demands=read_demands(loose, task.reserves.wall))
+        _Climber(tried, max_impacts, Budget(options.diagnosis), replace(options, thorough=False)).climb()
+    except (PlanningError, InputError):
+        return False
+    return True
 
 
 def _check_arguments(scenario: FreeFlyerScenario, max_impacts: int, time_limit: float) -> None:

@@ -50,6 +50,7 @@ class NominalTask:
         word: Word | None = None,
         avoid: float = 0.0,
         elastic: bool = False,
+        loose_speeds: bool = True,
     ) -> tuple[EventGrid, Choices]:
         """Build the model of all plans of a size, formula included.
 
@@ -59,6 +60,7 @@ class NominalTask:
             word: who hits what at each impact; None: anybody anything.
             avoid: distance to keep from areas to avoid, in addition to the robustness [m].
             elastic: whether speeds and conjuncts of the formula may be exceeded at a price.
+            loose_speeds: whether that holds for speeds, too.
 
         Returns:
             The grid, and what reads from its solutions how the formula holds in them.
@@ -66,7 +68,8 @@ class NominalTask:
         Raises:
             Infeasible: the variable bounds alone exclude every plan.
         """
-        grid = build_event_grid(self.scenario, size.impacts, rho, self.reserves, size.pieces, word, elastic, self.sharp)
+        shape = size.impacts, rho, self.reserves, size.pieces, word, elastic, self.sharp, loose_speeds
+        grid = build_event_grid(self.scenario, *shape)
         events = grid.times[:: grid.pieces]
         for wait in self.waits:
             grid.model.require(wait.seconds - (events[wait.second] - events[wait.first]))
@@ -203,6 +206,7 @@ class PlanOptions:
         words: number of sequences of impacts tried at each of these.
         haste: time for a plan with the impacts found so far, once planning is interrupted [s].
         diagnosis: greatest time for finding what to loosen where there is no plan; 0: it is not said [s].
+        remedy_room: by which a conjunct that is to be loosened is loosened more when that is tried [m].
         thorough: whether what to loosen is said, and robustness is improved for longer than there is a plan.
         central: least robustness of a plan that hits polygons through their centres, else they are planned as discs;
             the expert hits once more where less is left. None: always as discs [m].
@@ -233,6 +237,7 @@ class PlanOptions:
     words: int = 3
     haste: float = 5.0
     diagnosis: float = 20.0
+    remedy_room: float = 0.02
     thorough: bool = True
     central: float | None = 0.02
     cost: CostOptions = field(default_factory=CostOptions)

@@ -108,7 +108,10 @@ def make_predicate_rows(grid: Grid, need: Requirement, places: Sequence[Place], 
     if need.kind == "avoid":
         faces = zip(need.faces, need.bounds, strict=True)
         beyond = [[-_most(-face, point[need.body]) - bound for point in points] for face, bound in faces]
-        return AnyOf(tuple(AllOf(tuple(_avoid(grid, need, distances, reserve))) for distances in beyond))
+        choices: list[MarkedTree] = [AllOf(tuple(_avoid(grid, need, distances, reserve))) for distances in beyond]
+        # A slack of more than this leaves nothing of the area.
+        gone = () if need.depth is None else (grid.rho + need.depth,)
+        return AnyOf((*choices, *gone))
     (other,) = need.others
     pairs = [(point[need.body], point[other]) for point in points]
     return AnyOf(

@@ -36,6 +36,7 @@ class Requirement:
         clearance: distance to keep from the area at any robustness [m]; avoid only.
         others: other bodies to their H_i; for "apart" the other body, whose H_i has no meaning.
         distance: to keep between the bodies [m]; apart only.
+        depth: moved inwards by so much, the area is gone; None where this is not needed [m]; avoid only.
     """
 
     kind: Literal["stay", "avoid", "apart"]
@@ -49,6 +50,7 @@ class Requirement:
     clearance: float = 0.0
     others: Mapping[str, np.ndarray] = field(default_factory=dict)
     distance: float = 0.0
+    depth: float | None = None
 
     @property
     def bodies(self) -> tuple[str, ...]:

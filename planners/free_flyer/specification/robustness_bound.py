@@ -91,7 +91,7 @@ class _Bound:
     def _best_place(self, predicate: Predicate) -> float:
         scenario, need = self.scenario, self.demands.predicates[predicate]
         if need.kind == "stay" and not need.others:
-            return _compute_inradius(scenario, need, self.solver)
+            return compute_inradius(scenario, need, self.solver)
         spans = list(zip(scenario.world.lower, scenario.world.upper, strict=True))
         ranges = {f"{name}.{axis}": spans[k] for name in need.bodies for k, axis in enumerate("xy")}
         best = predicate.margin(scenario.areas).range(ranges)[1]
@@ -100,7 +100,14 @@ class _Bound:
         return best
 
 
-def _compute_inradius(scenario: FreeFlyerScenario, need: Requirement, solver: str) -> float:
+def compute_inradius(scenario: FreeFlyerScenario, need: Requirement, solver: str = "highs") -> float:
+    """Return the radius of the largest disc in the area of a requirement whose middle is in the world [m].
+
+    Args:
+        scenario: the world.
+        need: of one body.
+        solver: of a linear problem.
+    """
     model = Model(f"inradius of {need.text}")
     point = model.vector(np.array(scenario.world.lower), np.array(scenario.world.upper))
     beyond = [face @ point - bound for face, bound in zip(need.faces, need.bounds, strict=True)]
