@@ -73,18 +73,22 @@ def write_dataset(
     check_count("episodes", episodes)
     check_seed(seed + episodes - 1, "seed of the last episode")
     loaded = load_scenario(scenario).suite(suite)
-    if out is not None:
-        os.environ["MINARI_DATASETS_PATH"] = str(Path(out).absolute())
+    if out is not None and Path(out).exists() and not Path(out).is_dir():
+        raise InputError(f"--out {out}: is a file; it takes a folder")
     name = name or f"impact_envs/{loaded.name}/{Path(policy).stem.replace(':', '_')}-v0"
     try:
         minari.dataset.minari_dataset.parse_dataset_id(name)
     except ValueError as error:
         raise InputError(f"--name {name}: {error}") from None
-    folder = Path(minari.storage.get_dataset_path(name))
+    except TypeError:  # Minari reads a version that is missing as a number
+        raise InputError(f"--name {name}: has no version; {name}-v0 has one") from None
+    folder = Path(out).absolute() / name if out is not None else Path(minari.storage.get_dataset_path(name))
     if folder.exists():
         raise InputError(f"dataset {name}: is there already, in {folder}; give another --name, such as NAME-v1")
     env = _make_env(loaded, suite)
     player, successes, dataset, steps = make_policy(policy, loaded), 0, None, 0
+    if out is not None:
+        os.environ["MINARI_DATASETS_PATH"] = str(Path(out).absolute())  # where Minari writes; it makes the folder
     for buffers in _fly(env.unwrapped.parallel, player, range(seed, seed + episodes)):
         if dataset is None:
             dataset = _create(name, buffers, env, loaded, policy, suite)

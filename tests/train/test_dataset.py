@@ -65,3 +65,18 @@ def test_a_dataset_is_not_overwritten_and_bad_names_are_refused(folder, capsys):
         assert code == 2
         assert len(err.strip().splitlines()) == 1
         assert word in err
+
+
+def test_nothing_is_left_where_there_is_no_such_policy_or_name(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    (tmp_path / "file").touch()
+    for arguments, word in (
+        (("--policy", "nobody", "--out", str(tmp_path / "new")), "nobody"),
+        (("--policy", "zero", "--name", "a/b/c", "--out", str(tmp_path / "new")), "a/b/c-v0"),
+        (("--policy", "zero", "--out", str(tmp_path / "file")), "is a file"),
+    ):
+        code, _, err = write(capsys, "throw_and_catch", *arguments)
+        assert code == 2
+        assert len(err.strip().splitlines()) == 1
+        assert word in err
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -12,6 +12,7 @@ import inspect
 import re
 import sys
 import time
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.machinery import ModuleSpec, PathFinder
@@ -22,8 +23,10 @@ from typing import Any
 import numpy as np
 
 from impact_envs.errors import InputError, choices
+from impact_envs.extras import find_extras
 from impact_envs.rollout import Diagnostics, Policy
 from impact_envs.scenario import Scenario
+from planners.errors import PlanningError
 
 Factory = Callable[[Scenario], Policy]
 
@@ -102,10 +105,11 @@ def make_own(policy: str, scenario: Scenario) -> Policy:
         scenario: the factory is told only what it believes.
 
     Raises:
-        InputError: there is no such code, or what it returns does not act.
+        InputError: there is no such code, it fails, or what it returns does not act.
     """
     factory = policy.factory if isinstance(policy, OwnPolicy) else load_factory(policy)
-    made: Any = factory(scenario.as_believed())
+    with _blame(policy):
+        made: Any = factory(scenario.as_believed())
     lacking = [name for name in ("reset", "act") if not callable(getattr(made, name, None))]
     if lacking:
         raise InputError(f"policy '{policy}' made {made!r:.60}, which has no {' and no '.join(lacking)}")
@@ -153,10 +157,10 @@ def load_factory(policy: str) -> Factory:
     """Run the file of a named factory, once in a process, and return the factory.
 
     Raises:
-        InputError: there is no such file or factory.
+        InputError: there is no such file or factory, or the file fails.
     """
     spec, (place, _, name) = _find_spec(policy), policy.rpartition(":")
-    with _working_folder():
+    with _working_folder(), _blame(policy):
         module = _run(spec) if place.endswith(".py") else importlib.import_module(spec.name)
     factory = getattr(module, name, None)
     if not callable(factory):
@@ -202,6 +206,24 @@ def _find_spec(policy: str) -> ModuleSpec:
             folders = spec.submodule_search_locations
     assert spec is not None
     return spec
+
+
+@contextmanager
+def _blame(policy: str) -> Iterator[None]:
+    """Turn what the user's code raises into one line with the place; the exception itself is its cause."""
+    try:
+        yield
+    except (InputError, PlanningError):
+        raise
+    except Exception as error:
+        if isinstance(error, ModuleNotFoundError) and find_extras(error.name or ""):
+            raise  # the command says what to install
+        if isinstance(error, SyntaxError):
+            place, says = f"{error.filename}, line {error.lineno}", error.msg
+        else:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            place, says = f"{last.filename}, line {last.lineno}", " ".join(str(error).split())
+        raise InputError(f"policy '{policy}': {type(error).__name__} in {place}: {says}") from error
 
 
 @contextmanager

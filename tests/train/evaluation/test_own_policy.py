@@ -96,6 +96,24 @@ def test_code_that_is_not_there_is_one_line(folder, capsys, policy, words):
     assert all(word in line for word in words), line
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("def make(:", ("SyntaxError in", "mine.py, line 1: invalid syntax")),
+        ("\nimport no_such_thing", ("ModuleNotFoundError in", "mine.py, line 2: No module named 'no_such_thing'")),
+        ("def make(scenario):\n    return 1 / 0", ("ZeroDivisionError in", "mine.py, line 2: division by zero")),
+        ("def make():\n    pass", ("TypeError in", "takes 0 positional arguments but 1 was given")),
+    ],
+)
+def test_code_that_fails_is_named_with_its_line(folder, capsys, text, words):
+    (folder / "mine.py").write_text(text)
+    assert main(("run", "throw_and_catch", "--policy", "mine.py:make", "--save", "a.csv")) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert len(said) == 2  # which file runs, and what came of it
+    assert all(word in said[1] for word in words), said
+    assert not (folder / "a.csv").exists()
+
+
 def test_own_policy_is_judged_as_its_equal_is(folder):
     labels = {"zero": "zero", "mine": lambda scenario: ZeroPolicy(parallel_env(scenario))}
     result = evaluate(["throw_and_catch"], labels, episodes=2, progress=False)
