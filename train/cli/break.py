@@ -22,7 +22,7 @@ WIDE, NARROW = 64, 16  # worlds that are played together: in the search, and to 
 class Command:
     """Search the worlds that a suite may draw for failures of a policy, and write the mildest of each cause."""
 
-    extras: ClassVar[tuple[str, ...]] = ("plan", "report", "break")
+    extras: ClassVar[tuple[str, ...]] = ("plan", "report")
     policy: Positional[str]
     """As impact evaluate --batched takes it; not the oracle."""
     scenario: Positional[str]
