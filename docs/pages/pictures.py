@@ -62,6 +62,7 @@ def film_episode(name: str, path: Path) -> None:
     """
     scenario = load_scenario(name)
     env, every = parallel_env(scenario, render_mode="rgb_array"), max(1, scenario.steps // FRAMES)
+    env.speed = FPS * every * scenario.control_period
     with Film(path, FPS) as film, Film(path.with_suffix(".png"), FPS) as last:
 
         def watch(shown: object) -> None:

@@ -23,6 +23,8 @@ COMMANDS = ("impact ", "python ", "make ", "pip ")
 ATTENDED = ("play",)
 # Options whose value says how long a run takes, and the value that shows the same in seconds.
 SHORTER = {"--episodes": "1", "--steps": "64", "--worlds": "64"}
+# By command: the one of them whose default takes minutes.
+MISSING = {"evaluate": "--episodes", "demo": "--episodes", "train": "--steps"}
 SMALLER = {"4096": "64", "num_envs=256": "num_envs=16"}
 
 
@@ -75,7 +77,8 @@ def split_command(command: str) -> list[str]:
 def shorten(words: list[str]) -> list[str]:
     """Return a command that shows the same in less time."""
     short = [SHORTER.get(before, word) for before, word in zip(["", *words], words, strict=False)]
-    return [*short, "--episodes", "1"] if words[0] in ("evaluate", "demo") and "--episodes" not in words else short
+    option = MISSING.get(words[0])
+    return [*short, option, SHORTER[option]] if option and option not in words else short
 
 
 def run_page(page: Path) -> None:

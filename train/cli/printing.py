@@ -19,6 +19,7 @@ from train.evaluation.metrics import find_metrics, list_columns
 from train.evaluation.statistics import GROUP
 
 NOT_APPLICABLE = "not applicable"
+ROUNDING = 1e-12  # below which a number of a result is a rounding error of zero, in any unit
 TABLE_WIDTH = 150  # columns; a narrower table would cut its numbers
 # Key of a result to what it is called and its unit; domains bring more units, see UNITS in train.
 NAMES: dict[str, tuple[str, str]] = {
@@ -83,6 +84,8 @@ def show(result: dict[str, Any]) -> None:
     lines = _Lines(console, units | ({"robustness": result["unit"]} if "unit" in result else {}))
     for key, value in result.items():
         if key in SKIPPED or (key in ("set", "failure", "renamed", "violations") and not value):
+            continue
+        if value is None and key in units:  # a measure of other episodes, such as those of a robust plan
             continue
         if isinstance(value, list) and value and isinstance(value[0], dict):
             lines.end()
@@ -160,7 +163,7 @@ def _text(value: Any, none: str = "") -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.4g}"
+        return f"{0.0 if abs(value) < ROUNDING else value:.4g}"
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {_text(item)}" for key, item in value.items()) or none
     if isinstance(value, list | tuple):

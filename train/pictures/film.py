@@ -11,7 +11,8 @@ from typing import Any
 from impact_envs.errors import InputError, choices
 from impact_envs.scenario import Scenario
 
-FPS = 30.0  # of films, about
+FPS = 30.0  # of films and windows, about
+GIF_FPS = 15.0  # a GIF holds every frame's changes whole: half as many frames are half the file
 PACE = 3.0  # times real time, where nobody asks for a speed
 LONGEST_WAIT = (
     0.15  # share of the horizon that is shown in a second at the most, so that a short episode is seen slowly
@@ -51,7 +52,8 @@ class Viewer:
         self.speed = speed or min(PACE, LONGEST_WAIT * scenario.horizon)
         self.caption, self.note, self._on_key, self._stack = caption, "", on_key, ExitStack()
         # Whole control periods between frames; their number per second then gives exactly the speed that is shown.
-        self._every = max(1, round(self.speed / FPS / scenario.control_period))
+        rate = GIF_FPS if target.lower().endswith(".gif") else FPS
+        self._every = max(1, round(self.speed / rate / scenario.control_period))
         self._film: Film | None = None
         self._window: Any = None
         self.path = None if target == WINDOW else Path(target)

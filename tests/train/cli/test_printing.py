@@ -31,6 +31,8 @@ def test_an_episode_is_told_with_units_and_four_digits(capsys):
     assert not re.search(r"[{}]|\d\.[1-9]\d{5}", said)
     assert "impulse [N s]" in said
     assert "time [s]" in said
+    assert "not applicable" not in said  # measures of plans for uncertain impacts
+    assert not re.search(r"e-1[2-9]", said)  # rounding errors of zero
 
 
 def test_a_plan_has_another_name_for_what_is_another_quantity(capsys):
