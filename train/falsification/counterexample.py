@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,7 +37,7 @@ class Counterexample:
 
 
 def find_counterexamples(arena: Arena, played: Played, most: int, fresh: np.ndarray) -> list[Counterexample]:
-    """Return the mildest failure of the most frequent causes.
+    """Return the mildest failure of the most frequent causes; causes that come to the same are one.
 
     Args:
         arena: where to play on.
@@ -46,13 +46,17 @@ def find_counterexamples(arena: Arena, played: Played, most: int, fresh: np.ndar
         fresh: seeds on which the failure rates are measured.
     """
     causes, counts = np.unique(played.causes[~played.success].astype(str), return_counts=True)
-    found = []
-    for place in np.argsort(-counts, kind="stable")[:most]:
+    found: dict[tuple[str, ...], Counterexample] = {}
+    for place in np.argsort(-counts, kind="stable"):
+        if len(found) == most:
+            break
         chosen = np.flatnonzero((played.causes == causes[place]) & ~played.success)
         distances = np.abs(played.places[chosen] - arena.worlds.nominal).sum(axis=1)
         start = chosen[np.argmin(distances)]
-        found.append(_make(arena, played.places[start], int(played.seeds[start]), int(counts[place]), fresh))
-    return found
+        one = _make(arena, played.places[start], int(played.seeds[start]), int(counts[place]), fresh)
+        key = (one.cause, *one.moved)
+        found[key] = replace(found[key], found=found[key].found + one.found) if key in found else one
+    return list(found.values())
 
 
 def minimise(arena: Arena, places: np.ndarray, seed: int) -> np.ndarray:
