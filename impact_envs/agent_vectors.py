@@ -12,6 +12,7 @@ import numpy as np
 from impact_envs.errors import InputError, choices
 
 REAL = "fiub"  # kinds of NumPy types that stand for a real number
+FLOAT = np.dtype(float)
 
 
 def read_vectors(
@@ -29,7 +30,12 @@ def read_vectors(
         InputError: no mapping, an agent that is missing or unknown, or a vector that is none.
     """
     check_agents(vectors, sizes, what)
-    return {name: read_vector(vectors[name], size, f"{what} of {name}", finite) for name, size in sizes.items()}
+    return {
+        name: value
+        if _is_vector(value := vectors[name], size) and (not finite or _is_finite(value))
+        else read_vector(value, size, f"{what} of {name}", finite)
+        for name, size in sizes.items()
+    }
 
 
 def check_agents(vectors: Mapping[str, Any], agents: Mapping[str, Any], what: str) -> None:
@@ -71,6 +77,11 @@ def read_vector(value: Any, size: int, what: str, finite: bool = True, needed: s
         return array.astype(float, copy=False)
     needed = needed or f"{size} {'finite' if finite else 'real'} numbers"
     raise InputError(f"{what} = {_show(value)}: {needed} are needed")
+
+
+def _is_vector(value: Any, size: int) -> bool:
+    """Return whether a value needs no reading: what robots hand over in every control period."""
+    return type(value) is np.ndarray and value.dtype is FLOAT and value.shape == (size,)
 
 
 def _is_finite(array: np.ndarray) -> bool:

@@ -125,7 +125,8 @@ class FloatingManipulatorTask:
         thrusters = self.scenario.thrusters
         if thrusters is None:
             return 0.0
-        firing = sum(abs(command) > thrusters.dead_zone for command in controls["base"][:2].tolist())
+        x, y, _ = controls["base"].tolist()
+        firing = (abs(x) > thrusters.dead_zone) + (abs(y) > thrusters.dead_zone)
         return firing * self._physics.thruster_force * self.scenario.control_period
 
     def sense(self, states: np.ndarray, impacts: Sequence[Impact]) -> None:
@@ -135,10 +136,10 @@ class FloatingManipulatorTask:
             states: true states, shape (bodies, 6).
             impacts: impacts of the last control period.
         """
-        felt = select_felt(impacts)
+        felt = select_felt(impacts) if impacts else []
         self._store_sample(states, bool(felt))
         self._samples += 1
-        self._impulse = sum((find_length(*impact.impulse) for impact in impacts), 0.0)
+        self._impulse = sum((find_length(*impact.impulse) for impact in impacts), 0.0) if impacts else 0.0
         if felt:
             self._hit = felt[-1].time
         if self._hit is not None:

@@ -359,7 +359,7 @@ def test_a_change_of_velocity_is_that_of_the_impulse():
     policy = make_expert(env.scenario)
     impact_envs.rollout(env, policy, seed=1_000_000)
     (mark, *_) = env.make_frame().impacts
-    (impact, _), *_ = env._marks
+    (impact, _), *_ = env.past.marks
     masses = {name: env.scenario.body(name).mass for name in (impact.a, impact.b)}
     for body, sign, (_, _, *change) in zip((impact.a, impact.b), (-1.0, 1.0), mark.changes, strict=True):
         # Thrusters add a little within the control period.
