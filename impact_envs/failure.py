@@ -52,10 +52,13 @@ def check_finite(states: np.ndarray, bodies: Sequence[str]) -> None:
     Raises:
         NotFinite: naming the first body of which one is not.
     """
-    if not math.isfinite(sum(states.ravel().tolist())):  # seldom: the whole look costs three times as much
-        finite = np.isfinite(states).all(axis=1)
-        if not finite.all():
-            raise NotFinite(bodies[int(np.argmin(finite))])
+    if not are_finite(states):
+        raise NotFinite(bodies[int(np.argmin(np.isfinite(states).all(axis=1)))])
+
+
+def are_finite(numbers: np.ndarray) -> bool:
+    """Return whether all of a few numbers are finite; their sum tells, seldom a whole look, in a third of the time."""
+    return math.isfinite(sum(numbers.ravel().tolist())) or bool(np.isfinite(numbers).all())
 
 
 def explain_failure(error: Exception, read: Callable[[], np.ndarray], bodies: Sequence[str]) -> SimulationFailed:
