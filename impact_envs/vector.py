@@ -180,7 +180,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         actions = self._take_actions(actions)
         if tuple(actions.shape) != self.action_space.shape:
             raise InputError(f"actions have shape {tuple(actions.shape)}; {self.action_space.shape} is needed")
-        if self.autoreset_mode == AutoresetMode.DISABLED and self._over.any():
+        if self.autoreset_mode == AutoresetMode.DISABLED and _is_any(self._over):
             world = self._over.tolist().index(True)
             raise ResetNeeded(
                 f"step after the end of the episode of world {world}: reset it with options={{'reset_mask': ...}}"
@@ -190,7 +190,7 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
         self.batch.step(actions.reshape(self.num_envs, *self.batch.action_shape), output, restart)
         self._output = output
         over = self.batch.over
-        self._ended = bool(over.any())
+        self._ended = _is_any(over)
         rewards = self._sum_robots(output.rewards)
         infos = self._infos(over if self._ended else None)
         self._over = over
@@ -362,6 +362,11 @@ def vector_env(scenario: str | Path | Scenario, num_envs: int = 1, **options: An
         InputError: polygons, a domain without a batched engine, or more worlds than fit into memory.
     """
     return ImpactVectorEnv(scenario, num_envs, **options)
+
+
+def _is_any(mask: Any) -> bool:
+    """Return whether any world is marked; NumPy counts those of a few worlds in a tenth of the time of ``any``."""
+    return np.count_nonzero(mask) > 0 if isinstance(mask, np.ndarray) else bool(mask.any())
 
 
 def _copy(array: Any) -> Any:

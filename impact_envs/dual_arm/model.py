@@ -159,7 +159,9 @@ class DualArmModel:
         return sorted(found, key=lambda impact: impact.time)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_call", "_arrays", "_rows", "_hits")}
+        return {
+            name: value for name, value in self.__dict__.items() if name not in ("_call", "_arrays", "_rows", "_hits")
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -10,7 +10,7 @@ from gymnasium.spaces import Box
 
 from impact_envs.agent_vectors import read_vectors
 from impact_envs.dual_arm.arm import compute_pose
-from impact_envs.dual_arm.observation import ARM, TRUTH, make_joint_layout, make_layout
+from impact_envs.dual_arm.observation import TRUTH, make_joint_layout, make_layout
 from impact_envs.dual_arm.schema import DualArmScenario, Physics
 from impact_envs.dual_arm.secrets import list_secrets, make_secrets_layout
 from impact_envs.dual_arm.world import FORCES, JOINTS, KEPT
