@@ -14,14 +14,14 @@ from pettingzoo.utils.conversions import parallel_to_aec
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError, ResetNeeded, check_count, choices
-from impact_envs.failure import SimulationFailed, check_finite, explain_failure
+from impact_envs.interface.failure import SimulationFailed, check_finite, explain_failure
 from impact_envs.interface.parts import Model, Task
 from impact_envs.interface.referee import Referee, share_reward
+from impact_envs.interface.state import add_secrets, join_states, make_state_layout
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact, LastingContact
 from impact_envs.reward import ROBUSTNESS
 from impact_envs.scenario import Scenario, load_scenario
-from impact_envs.state import add_secrets, join_states, make_state_layout
 from impact_envs.stream import check_seed
 
 
@@ -257,10 +257,10 @@ class ImpactEnv(ParallelEnv):
 
         Args:
             mode: ``human`` or ``rgb_array``.
-            options: of `impact_envs.render.Renderer`, for example speed.
+            options: of `impact_envs.picture.render.Renderer`, for example speed.
         """
+        from impact_envs.picture.render import Renderer
         from impact_envs.picture.view import ARROW_SHARE, find_view
-        from impact_envs.render import Renderer
 
         arrow = ARROW_SHARE * self.scenario.horizon
         return Renderer(*find_view(self.scenario), self.task.shapes(), mode, arrow=arrow, **options)

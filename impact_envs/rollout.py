@@ -154,7 +154,7 @@ class Episode:
         Raises:
             InputError: unknown suffix, or a file that cannot be written.
         """
-        from impact_envs.episode_file import save_episode
+        from impact_envs.interface.episode_file import save_episode
 
         return save_episode(self, path)
 

@@ -13,15 +13,15 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from impact_envs.agent_vectors import REAL
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError, ResetNeeded, check_count, choices
+from impact_envs.interface.agent_vectors import REAL
+from impact_envs.interface.reset import make_seeds, read_mask
+from impact_envs.interface.state import make_state_layout, read_state
 from impact_envs.observation import Layout
 from impact_envs.reward import PROGRESS, ROBUSTNESS, find_rates
 from impact_envs.scenario import Scenario, load_scenario
-from impact_envs.state import make_state_layout, read_state
 from impact_envs.stl.verdict import judge
-from impact_envs.vector_reset import make_seeds, read_mask
 
 DTYPES = {"float64": np.float64, "float32": np.float32}
 DEVICES = ("cpu", "cuda")
@@ -255,9 +255,9 @@ class ImpactVectorEnv(VectorEnv[Any, Any, Any]):
             raise ResetNeeded("render before reset: call reset first")
         if self.render_mode is None:
             return None
+        from impact_envs.picture.render import Frame, Renderer
         from impact_envs.picture.unit import find_unit
         from impact_envs.picture.view import find_view
-        from impact_envs.render import Frame, Renderer
 
         scenario: Any = self.scenario
         batch = self.batch

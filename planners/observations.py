@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from impact_envs.agent_vectors import REAL
 from impact_envs.errors import InputError
+from impact_envs.interface.agent_vectors import REAL
 
 
 def read_observations(observations: Any, count: int, size: int) -> np.ndarray:

@@ -8,7 +8,6 @@ from typing import Any, cast
 import numpy as np
 from gymnasium.utils import seeding
 
-from impact_envs.capacity import check_size
 from impact_envs.compiled import announce
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.dual_arm.secrets import list_secrets
@@ -27,7 +26,8 @@ from impact_envs.dual_arm.step import (
 from impact_envs.dual_arm.task import EFFORT_PERIOD, DualArmTask
 from impact_envs.dual_arm.world import PLANT, WORLD, make_clock, start_world
 from impact_envs.errors import InputError
-from impact_envs.failure import NotFinite, check_finite
+from impact_envs.interface.capacity import check_size
+from impact_envs.interface.failure import NotFinite, check_finite
 from impact_envs.interface.threads import APART, Threads
 from impact_envs.stl.compiler import compile_formula, read_parts
 from impact_envs.stream import check_seed

@@ -28,7 +28,7 @@ from impact_envs.dual_arm.world import (
     start_world,
 )
 from impact_envs.errors import InputError, choices
-from impact_envs.failure import are_finite
+from impact_envs.interface.failure import are_finite
 from impact_envs.physics.impact import Impact
 
 

@@ -8,16 +8,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from gymnasium.spaces import Box
 
-from impact_envs.agent_vectors import read_vectors
 from impact_envs.dual_arm.arm import compute_pose
 from impact_envs.dual_arm.observation import TRUTH, make_joint_layout, make_layout
 from impact_envs.dual_arm.schema import DualArmScenario, Physics
 from impact_envs.dual_arm.secrets import list_secrets, make_secrets_layout
 from impact_envs.dual_arm.world import FORCES, JOINTS, KEPT
+from impact_envs.interface.agent_vectors import read_vectors
+from impact_envs.interface.shape import Shape
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.reward import compute_effort
-from impact_envs.shape import Shape
 
 MOTION = slice(0, 6)
 MOVED = slice(JOINTS.start, FORCES.stop)  # angles, rates and forces: side by side in a state as in an observation

@@ -7,10 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from impact_envs.capacity import check_size
 from impact_envs.compiled import announce, bind
 from impact_envs.errors import InputError
-from impact_envs.failure import NotFinite, TooManyEvents
 from impact_envs.floating_manipulator.collision import EVENTS
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from impact_envs.floating_manipulator.secrets import list_secrets
@@ -26,6 +24,8 @@ from impact_envs.floating_manipulator.worlds import (
     make_worlds,
     write_physics,
 )
+from impact_envs.interface.capacity import check_size
+from impact_envs.interface.failure import NotFinite, TooManyEvents
 from impact_envs.interface.threads import Threads
 from impact_envs.stl.compiler import compile_formula, read_parts
 from impact_envs.stream import draw_doubles, seed_streams

@@ -14,7 +14,6 @@ import numpy as np
 
 from impact_envs.compiled import bind
 from impact_envs.errors import InputError, choices
-from impact_envs.failure import TooManyEvents, are_finite
 from impact_envs.floating_manipulator.actuation import make_actuators
 from impact_envs.floating_manipulator.collision import (
     ENDLESS,
@@ -32,6 +31,7 @@ from impact_envs.floating_manipulator.flow import (
     make_system,
 )
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
+from impact_envs.interface.failure import TooManyEvents, are_finite
 from impact_envs.physics.impact import Impact
 from impact_envs.physics.multibody import (
     compute_directions,

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
-from impact_envs.agent_vectors import read_vectors
 from impact_envs.compiled import bind
 from impact_envs.floating_manipulator.actuation import compute_forces, join_limits, make_actuators, scale_action
 from impact_envs.floating_manipulator.observation import find_places, make_layout, select_felt, write_observation
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
 from impact_envs.floating_manipulator.secrets import list_secrets, make_secrets_layout
 from impact_envs.floating_manipulator.signals import find_length, read_coordinates, write_signals
+from impact_envs.interface.agent_vectors import read_vectors
+from impact_envs.interface.shape import Shape
 from impact_envs.observation import MOTION, Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.reward import compute_effort
-from impact_envs.shape import Shape
 from impact_envs.stl import SIGNALS, Distance
 
 LINK_WIDTH = 0.16  # of the arm as drawn [m]

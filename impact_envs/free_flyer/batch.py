@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from impact_envs.capacity import check_size
 from impact_envs.compiled import announce, bind
 from impact_envs.domain import load_attribute
 from impact_envs.errors import InputError
-from impact_envs.failure import NotFinite, TooManyEvents, check_finite
 from impact_envs.flight import make_flight, make_no_flight
 from impact_envs.free_flyer.pair import EVENTS
 from impact_envs.free_flyer.schema import SENSOR_COLUMNS, FreeFlyerScenario
@@ -41,6 +39,8 @@ from impact_envs.free_flyer.worlds import (
     make_worlds,
     write_physics,
 )
+from impact_envs.interface.capacity import check_size
+from impact_envs.interface.failure import NotFinite, TooManyEvents, check_finite
 from impact_envs.interface.threads import APART, Threads
 from impact_envs.reward import ROBUSTNESS, find_rates
 from impact_envs.stl.compiler import compile_formula, read_parts

@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from gymnasium.spaces import Box
 
+from impact_envs.interface.shape import Shape
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact
-from impact_envs.shape import Shape
 
 
 class Model(Protocol):

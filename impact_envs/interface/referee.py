@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from impact_envs.failure import SimulationFailed, TooManyEvents
 from impact_envs.flight import Forecast
+from impact_envs.interface.failure import SimulationFailed, TooManyEvents
 from impact_envs.reward import compute_progress_reward, compute_reward, compute_team_reward, find_rates
 from impact_envs.stl import Monitor
 from impact_envs.stl.verdict import compute_outcome, judge

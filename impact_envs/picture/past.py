@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from impact_envs.interface.shape import Shape
 from impact_envs.physics.impact import Impact
 from impact_envs.picture.frame import Frame, Mark, Pose
 from impact_envs.picture.unit import find_unit
-from impact_envs.shape import Shape
 
 
 class Past:

@@ -9,12 +9,12 @@ import pytest
 
 import impact_envs
 from impact_envs.errors import InputError
+from impact_envs.interface.shape import Shape
 from impact_envs.picture import drawing, labels
+from impact_envs.picture.render import Film, Frame, Mark, Renderer
 from impact_envs.picture.unit import find_unit
 from impact_envs.picture.view import find_view
 from impact_envs.picture.window import Window
-from impact_envs.render import Film, Frame, Mark, Renderer
-from impact_envs.shape import Shape
 from impact_envs.stl import parse
 from planners import make_expert
 

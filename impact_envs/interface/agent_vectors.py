@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from impact_envs.errors import InputError, choices
-from impact_envs.failure import are_finite
+from impact_envs.interface.failure import are_finite
 
 REAL = "fiub"  # kinds of NumPy types that stand for a real number
 FLOAT = np.dtype(float)
