@@ -366,7 +366,7 @@ def vector_env(scenario: str | Path | Scenario, num_envs: int = 1, **options: An
 
 def _is_any(mask: Any) -> bool:
     """Return whether any world is marked; NumPy counts those of a few worlds in a tenth of the time of ``any``."""
-    return np.count_nonzero(mask) > 0 if isinstance(mask, np.ndarray) else bool(mask.any())
+    return bool(np.count_nonzero(mask) if isinstance(mask, np.ndarray) else mask.any())
 
 
 def _copy(array: Any) -> Any:

@@ -14,7 +14,7 @@ from impact_envs.stl.verdict import compute_outcome, judge
 
 def _read_source(function: Any) -> Callable[..., float]:
     """Return a compiled function's plain Python; of a few floats it is faster than a call of machine code."""
-    return getattr(function, "py_func", function)  # type: ignore[no-any-return]
+    return getattr(function, "py_func", function)
 
 
 _team_reward, _progress_reward = _read_source(compute_team_reward), _read_source(compute_progress_reward)
