@@ -12,8 +12,8 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.residual_vector import ResidualVectorEnv
-from impact_envs.agent_vectors import REAL
 from impact_envs.errors import InputError, choices
+from impact_envs.interface.agent_vectors import REAL
 from impact_envs.observation import Layout
 from impact_envs.stream import check_seed
 from impact_envs.vector import ImpactVectorEnv

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, Protocol
 
 import numpy as np
 
 from agents.progress import ADVANCE, ANSWER, BEGIN, OBSERVE, POLL, REST, Progress, make_progress
+from impact_envs.interface.threads import Threads
 from impact_envs.stl.verdict import judge
 
 # Seconds that a call of the compiled loop takes at most, about: Ctrl-C is answered between two.
@@ -47,8 +47,8 @@ class Decisions:
         self._output = batch.make_output(agents=False)
         self._progress = make_progress(self._output.joint, batch.action_shape, experts.correction_size)
         self._loop = make_loop(batch, experts, self._output, self._progress)
-        self._pool: ThreadPoolExecutor | None = None
         self.steps = self._progress.steps
+        self._threads = Threads(experts.threads, len(self.steps))
 
     @property
     def awaiting_correction(self) -> np.ndarray:
@@ -93,14 +93,9 @@ class Decisions:
 
     def close(self) -> None:
         """Let threads and processes go."""
+        self._threads.close()
         self.experts.close()
         self.batch.close()
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None}
 
     def _run(self) -> None:
         """Run until every world rests."""
@@ -114,25 +109,16 @@ class Decisions:
 
     def _advance(self) -> None:
         """Run the worlds for a while, shared by the threads."""
-        count, threads = len(self.steps), self.experts.threads
-        if threads == 1:
+        count, threads = len(self.steps), self._threads
+        if threads.number == 1:
             self._loop.run(0, 0, count)
             return
         # Decisions take differently long: whoever is done takes the next piece.
-        pieces = min(PIECES * threads, count)
+        pieces = min(PIECES * threads.number, count)
         left = iter([(i * count // pieces, (i + 1) * count // pieces) for i in range(pieces)])
 
         def run(thread: int) -> None:
             for first, end in left:
                 self._loop.run(thread, first, end)
 
-        self._pool = self._pool or ThreadPoolExecutor(threads)
-        running = [self._pool.submit(run, thread) for thread in range(threads)]
-        try:
-            for future in running:
-                future.result()
-        except BaseException:  # Ctrl-C: nobody may write to the worlds behind whoever resets them
-            for _ in left:  # no further piece is taken
-                pass
-            wait(running)
-            raise
+        threads.work(run, stop=lambda: list(left))  # no further piece is taken

@@ -11,9 +11,9 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-from impact_envs.agent_vectors import read_vector
 from impact_envs.env import parallel_env
 from impact_envs.errors import InputError, ResetNeeded
+from impact_envs.interface.agent_vectors import read_vector
 from impact_envs.rollout import Diagnostics, Policy
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.stream import check_seed

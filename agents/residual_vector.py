@@ -15,13 +15,13 @@ from gymnasium.vector.utils import batch_space
 
 from agents.decisions import Decisions
 from agents.residual import TRAINING_SEEDS
-from impact_envs.agent_vectors import REAL
 from impact_envs.domain import find_part, list_domains
 from impact_envs.errors import InputError, ResetNeeded, check_count, choices
+from impact_envs.interface.agent_vectors import REAL
+from impact_envs.interface.reset import make_seeds, read_mask
+from impact_envs.interface.state import make_state_layout, read_state
 from impact_envs.observation import Layout
 from impact_envs.scenario import Scenario, load_scenario
-from impact_envs.state import make_state_layout, read_state
-from impact_envs.vector_reset import make_seeds, read_mask
 from planners import make_expert_batch
 from planners.plan import Plan
 

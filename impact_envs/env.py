@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -14,84 +14,15 @@ from pettingzoo.utils.conversions import parallel_to_aec
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError, ResetNeeded, check_count, choices
-from impact_envs.failure import NotFinite, SimulationFailed, TooManyEvents, check_finite
-from impact_envs.flight import Forecast
+from impact_envs.interface.failure import SimulationFailed, check_finite, explain_failure
+from impact_envs.interface.parts import Model, Task
+from impact_envs.interface.referee import Referee, share_reward
+from impact_envs.interface.state import add_secrets, join_states, make_state_layout
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact, LastingContact
-from impact_envs.reward import ROBUSTNESS, compute_progress_reward, compute_reward, compute_team_reward, find_rates
+from impact_envs.reward import ROBUSTNESS
 from impact_envs.scenario import Scenario, load_scenario
-from impact_envs.shape import Shape
-from impact_envs.state import add_secrets, join_states, make_state_layout
-from impact_envs.stl import Monitor
-from impact_envs.stl.verdict import compute_outcome, judge
 from impact_envs.stream import check_seed
-
-
-class Model(Protocol):
-    """What the world does."""
-
-    def reset(self, physics: Any) -> None:
-        """Put the bodies at their start in a world with these physics."""
-
-    def step(self, controls: Mapping[str, np.ndarray]) -> list[Impact]:
-        """Advance one control period under held controls; return the impacts in order of time.
-
-        Raises:
-            SimulationFailed: the world cannot be followed any further.
-        """
-
-    def state(self) -> np.ndarray:
-        """Return the true state, one row per body."""
-
-
-class Task(Protocol):
-    """What is asked of the agents."""
-
-    scenario: Any
-    action_spaces: Mapping[str, Box]
-    action_elements: Mapping[str, Sequence[str]]  # of each agent, with what an element of 1 is: "torque [0.5 N m]"
-    observation_spaces: Mapping[str, Box]
-    joint_observation_space: Box
-    layouts: Mapping[str, Layout]
-    joint_layout: Layout
-    state_layout: Layout
-    secrets_layout: Layout
-
-    def reset(self, physics: Any, states: np.ndarray, rng: np.random.Generator) -> None:
-        """Start an episode."""
-
-    def controls(self, actions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Scale actions to physical controls."""
-
-    def effort(self, action: np.ndarray) -> float:
-        """Return an agent's effort in one control period, in [0, 1]."""
-
-    def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
-        """Return the propulsion spent in one control period."""
-
-    def sense(self, states: np.ndarray, impacts: list[Impact]) -> None:
-        """Take the sensors' sample."""
-
-    def observe(self, time: float, robustness: Sequence[float]) -> dict[str, np.ndarray]:
-        """Return each agent's observation, in which intervals of the formula's conjuncts may stand."""
-
-    def observe_jointly(self, time: float, robustness: Sequence[float]) -> np.ndarray:
-        """Return all agents' observation as one vector."""
-
-    def list_secrets(self, physics: Any) -> np.ndarray:
-        """Return a world's drawn physics as one vector, which no expert sees."""
-
-    def signals(self, states: np.ndarray) -> dict[str, float]:
-        """Return the signals the formula speaks of."""
-
-    def signal_bounds(self) -> dict[str, tuple[float, float]]:
-        """Return bounds of signals known beforehand."""
-
-    def shapes(self) -> tuple[Shape, ...]:
-        """Return what is drawn."""
-
-    def chains(self, states: np.ndarray) -> dict[str, np.ndarray]:
-        """Return polylines from bodies to what holds them, drawn with them."""
 
 
 class ImpactEnv(ParallelEnv):
@@ -150,39 +81,27 @@ class ImpactEnv(ParallelEnv):
             raise InputError(f"render_mode '{render_mode}' is unknown; {choices(render_mode, known)}")
         self.model, self.task, self.render_mode = model, task, render_mode
         self.scenario: Any = task.scenario
-        self._last, self._limit = self.scenario.steps, self.scenario.world.diagonal  # computed at every access
+        self._last, self._bodies = self.scenario.steps, self.scenario.bodies  # computed at every access
         if max_cycles is not None:
             check_count("max_cycles", max_cycles)
         self.max_cycles = self._last if max_cycles is None else max_cycles
         self.possible_agents = list(self.scenario.agents)
         self.agents: list[str] = []
         self.state_space = self.state_layout().make_space()
-        self.monitor = Monitor(
-            self.scenario.specification,
-            self.scenario.control_period,
-            self.scenario.areas,
-            self.scenario.bodies,
-            task.signal_bounds(),
-        )
-        rates, areas = find_rates(reward, self.scenario.domain), self.scenario.areas
-        self.reward, self._forecast = reward, None
-        if rates is not None:
-            bodies, bounds = self.scenario.bodies, task.signal_bounds()
-            self._forecast = Forecast(self.scenario.specification, self.monitor, areas, bodies, rates, bounds)
-        self._potential = 0.0  # of reward "progress" [m]
+        self.reward, self.referee = reward, Referee(self.scenario, task.signal_bounds(), reward)
+        self.monitor = self.referee.monitor
         self.curves: dict[str, np.ndarray] = {}  # polylines to draw under the bodies, for example a plan
         self.impacts: list[Impact] = []  # of the last control period
         self.lasting_contacts: list[LastingContact] = []  # of the last control period; free-flyers alone have them
         self.impulse = 0.0  # propulsion spent since reset
         self.failure: SimulationFailed | None = None  # that ended the episode
         self.infos: dict[str, Any] = {}  # what every agent was told last
+        self.last_states: np.ndarray  # true ones, of the last control period that did not fail
         self._rng: np.random.Generator | None = None
         self._renderer: Any = None
         self.caption = ""  # over pictures; the scenario's name where nobody says more
         self.speed: float | None = None  # time shown in one second of a film, written into its pictures
-        self._trailed: list[str] = []  # bodies whose path is drawn
-        self._track = np.zeros((0, 0, 3))  # poses of every step, kept for rendering
-        self._marks: list[tuple[Impact, list[tuple[float, float, float, float]]]] = []
+        self.past: Any = None  # a `Past`, where pictures are drawn
 
     def observation_space(self, agent: str) -> Box:
         """Return the agent's observation space, the same object at every call."""
@@ -201,6 +120,16 @@ class ImpactEnv(ParallelEnv):
         """
         self._check_started("time")
         return self.steps * self.scenario.control_period
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Return the interval of robustness still possible, clipped to the world's diagonal [m]."""
+        return self.referee.bounds
+
+    @property
+    def conjuncts(self) -> list[float]:
+        """Return lower and upper end of every conjunct's interval, clipped likewise [m]."""
+        return self.referee.conjuncts
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -224,18 +153,13 @@ class ImpactEnv(ParallelEnv):
         self.steps, self.impacts, self.lasting_contacts = 0, [], []
         self.impulse, self.failure = 0.0, None
         self.agents = list(self.possible_agents)
-        self._states = self.model.state()
-        self.task.reset(physics, self._states, self._rng)
-        self.signals = self.task.signals(self._states)
-        self.monitor.reset()
-        self.bounds = self._watch()
-        self.conjuncts = self._clip_conjuncts()
-        self._potential = self._predict()
-        self._marks = []
-        self._remember()
-        infos = self._infos()
-        self.infos = next(iter(infos.values()))
-        return self.task.observe(0.0, self.conjuncts), infos
+        self.last_states = self.model.state()
+        self.task.reset(physics, self.last_states, self._rng)
+        self.signals = self.task.signals(self.last_states)
+        self.referee.reset(self.signals)
+        self._start_past()
+        self.infos = self.referee.make_info(None, over=False, decided=False)
+        return self.task.observe(0.0, self.conjuncts), {agent: self.infos.copy() for agent in self.agents}
 
     def step(
         self, actions: Mapping[str, np.ndarray]
@@ -261,32 +185,27 @@ class ImpactEnv(ParallelEnv):
         if not self.agents:
             self._check_started("step")
             raise ResetNeeded("step after the end of the episode: call reset first")
-        controls = self.task.controls(actions)
-        before, signals, potential = self.bounds, self.signals, self._potential
+        task, referee, agents = self.task, self.referee, self.agents
+        controls = task.controls(actions)
+        before, signals = referee.bounds, self.signals
         self._advance(controls)
         self.steps += 1
-        self.impulse += self.task.impulse(controls)
-        if self.failure is None:
-            self.task.sense(self._states, self.impacts)
-            self.signals = self.task.signals(self._states)
-            self.bounds = self._watch()
-            self.conjuncts = self._clip_conjuncts()
-        else:
-            self.bounds = (-self._limit, -self._limit)
-            self.conjuncts = [-self._limit] * len(self.conjuncts)
-        self._remember(signals)
+        self.impulse += task.impulse(controls)
         failed = self.failure is not None
-        over = failed or self.steps >= min(self.max_cycles, self._last)
-        agents = self.agents
-        if self._forecast is None:
-            team = compute_team_reward(before, self.bounds, over)
+        if failed:
+            referee.fail()
         else:
-            if over or self.impacts or self.steps % self._forecast.every == 0:
-                self._potential = self._predict()
-            team = compute_progress_reward(potential, self._potential, self.bounds[0], over)
-        rewards = {agent: compute_reward(team, len(agents), self.task.effort(actions[agent])) for agent in agents}
-        observations, infos = self.task.observe(self.time, self.conjuncts), self._infos(over)
-        self.infos = infos[agents[0]]
+            task.sense(self.last_states, self.impacts)
+            self.signals = task.signals(self.last_states)
+            referee.watch(self.signals)
+        if self.past is not None:
+            self.past.add(self.steps, signals, self.signals, self.impacts)
+        over = failed or self.steps >= self._last or self.steps >= self.max_cycles
+        team = referee.compute_team_reward(before, self.signals, self.steps, bool(self.impacts), over, failed)
+        rewards = share_reward(team, {agent: task.effort(actions[agent]) for agent in agents})
+        observations = task.observe(self.steps * self.scenario.control_period, referee.conjuncts)
+        self.infos = referee.make_info(self.failure, over, decided=failed or self.steps >= self._last)
+        infos = {agent: self.infos.copy() for agent in agents}
         if over:
             self.agents = []
         if self.render_mode == "human":
@@ -306,11 +225,11 @@ class ImpactEnv(ParallelEnv):
             ResetNeeded: before the first reset.
         """
         self._check_started("state")
-        states = self.model.state() if self.failure is None else self._states
+        states = self.model.state() if self.failure is None else self.last_states
         state = join_states(states[None], np.array([self.time / self.scenario.horizon]))
         if secrets:
             physics = self.task.list_secrets(self._physics)
-            state = add_secrets(state, physics[None], self.monitor.parts[None], self._limit)
+            state = add_secrets(state, physics[None], self.monitor.parts[None], self.referee.limit)
         return state[0]
 
     def state_layout(self, secrets: bool = False) -> Layout:
@@ -338,10 +257,10 @@ class ImpactEnv(ParallelEnv):
 
         Args:
             mode: ``human`` or ``rgb_array``.
-            options: of `impact_envs.render.Renderer`, for example speed.
+            options: of `impact_envs.picture.render.Renderer`, for example speed.
         """
+        from impact_envs.picture.render import Renderer
         from impact_envs.picture.view import ARROW_SHARE, find_view
-        from impact_envs.render import Renderer
 
         arrow = ARROW_SHARE * self.scenario.horizon
         return Renderer(*find_view(self.scenario), self.task.shapes(), mode, arrow=arrow, **options)
@@ -352,27 +271,10 @@ class ImpactEnv(ParallelEnv):
         Raises:
             ResetNeeded: before the first reset.
         """
-        from impact_envs.picture.unit import find_unit
-        from impact_envs.render import Frame, Mark
+        from impact_envs.picture.past import draw_world
 
         self._check_started("make_frame")
-        bodies = self.scenario.bodies
-        if not self._trailed:
-            shapes = self.task.shapes()
-            self._trailed = [shape.body for shape in shapes if shape.body is not None and shape.label]
-        past = self._track[: self.steps + 1]
-        return Frame(
-            time=self.time,
-            poses=dict(zip(bodies, self._list_poses(), strict=True)),
-            chains=self.task.chains(self._states),
-            trails={body: past[:, bodies.index(body), :2] for body in self._trailed} if len(past) else {},
-            plans=self.curves,
-            impacts=[Mark(*mark.point, self.time - mark.time, changes) for mark, changes in self._marks],
-            robustness=self.bounds,
-            unit=find_unit(self.scenario.specification),
-            caption=self.caption or self.scenario.name,
-            speed=self.speed,
-        )
+        return draw_world(self)
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -398,82 +300,22 @@ class ImpactEnv(ParallelEnv):
         try:
             impacts = self.model.step(controls)
             states = self.model.state()
-            check_finite(states, self.scenario.bodies)
+            check_finite(states, self._bodies)
         except InputError:
             raise
         except (SimulationFailed, ArithmeticError, ValueError) as error:
-            self.failure = self._explain(error)
+            self.failure = explain_failure(error, self.model.state, self._bodies)
         else:
-            self.impacts, self._states = impacts, states
+            self.impacts, self.last_states = impacts, states
             self.lasting_contacts = getattr(self.model, "lasting_contacts", [])
 
-    def _explain(self, error: Exception) -> SimulationFailed:
-        """Return why the model failed: arithmetic may stop at a state that is not finite before anybody looks at it."""
-        try:
-            check_finite(self.model.state(), self.scenario.bodies)
-        except NotFinite as failure:
-            return failure
-        except (ArithmeticError, ValueError):
-            return NotFinite("a body")
-        if isinstance(error, SimulationFailed):
-            return error
-        raise error
+    def _start_past(self) -> None:
+        """Keep from now on what pictures show of the past, if there will be any."""
+        self.past = None
+        if self.render_mode is not None:
+            from impact_envs.picture.past import Past
 
-    def _list_poses(self) -> list[tuple[float, float, float]]:
-        s = self.signals
-        return [(s[f"{body}.x"], s[f"{body}.y"], s[f"{body}.heading"]) for body in self.scenario.bodies]
-
-    def _remember(self, before: Mapping[str, float] | None = None) -> None:
-        """Keep what pictures show of the past.
-
-        Args:
-            before: signals of the step before; a body's change of velocity in an impact is that of the whole step.
-        """
-        if self.render_mode is None:
-            return
-        if before is None:
-            self._track = np.empty((self._last + 1, len(self.scenario.bodies), 3))
-        self._track[self.steps] = self._list_poses()
-        s, bodies = self.signals, self.scenario.bodies
-        before = before or s
-        for impact in self.impacts:
-            changes = []
-            for body in (impact.a, impact.b):
-                if body in bodies:
-                    x, y, vx, vy = (f"{body}.{name}" for name in ("x", "y", "vx", "vy"))
-                    changes.append((before[x], before[y], s[vx] - before[vx], s[vy] - before[vy]))
-            self._marks.append((impact, changes))
-
-    def _watch(self) -> tuple[float, float]:
-        """Take the formula's sample; return the interval of robustness still possible, clipped."""
-        low, high = self.monitor.update(self.signals)
-        return max(-self._limit, min(self._limit, low)), max(-self._limit, min(self._limit, high))
-
-    def _clip_conjuncts(self) -> list[float]:
-        """Return lower and upper end of every conjunct's interval, clipped."""
-        limit = self._limit
-        return [max(-limit, min(limit, end)) for end in self.monitor.conjuncts]
-
-    def _predict(self) -> float:
-        """Return the potential of reward "progress"; 0 for the other one."""
-        if self._forecast is None:
-            return 0.0
-        if self.failure is not None:
-            return -self._limit
-        found = self._forecast.predict(self.monitor, self.signals, self.steps)
-        return max(-self._limit, min(self._limit, found))
-
-    def _infos(self, over: bool = False) -> dict[str, dict[str, Any]]:
-        info: dict[str, Any] = {"robustness_lower": self.bounds[0], "robustness_upper": self.bounds[1]}
-        info["overflow"] = int(isinstance(self.failure, TooManyEvents))
-        robustness, success = judge(compute_outcome(*self.monitor.ends, self._limit))
-        info["is_success"] = bool(success) and self.failure is None
-        if over:
-            decided = self.failure is not None or self.steps >= self._last
-            info |= {"robustness": robustness, "success": success, "decided": decided}
-        if self.failure is not None:
-            info |= {"robustness": -self._limit, "success": False, "failure": str(self.failure)}
-        return {agent: dict(info) for agent in self.agents}
+            self.past = Past(self._bodies, self.task.shapes(), self._last, self.signals)
 
 
 def aec_env(

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from impact_envs.agent_vectors import read_vector
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError
+from impact_envs.interface.agent_vectors import read_vector
 from impact_envs.rollout import Diagnostics
 from impact_envs.scenario import Scenario, load_scenario
 

@@ -11,8 +11,8 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces import Box
 
-from impact_envs.agent_vectors import read_vector
 from impact_envs.env import parallel_env
+from impact_envs.interface.agent_vectors import read_vector
 from impact_envs.reward import ROBUSTNESS
 from impact_envs.scenario import Scenario, load_scenario
 from impact_envs.stream import check_seed

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
+from array import array
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -154,7 +154,7 @@ class Episode:
         Raises:
             InputError: unknown suffix, or a file that cannot be written.
         """
-        from impact_envs.episode_file import save_episode
+        from impact_envs.interface.episode_file import save_episode
 
         return save_episode(self, path)
 
@@ -176,7 +176,8 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
     start = time.perf_counter()
     observations, infos = env.reset(seed=seed)
     policy.reset(seed)
-    signals, bounds, actions, rewards = [env.signals], [env.bounds], [], []
+    names, bounds, actions, rewards = list(env.signals), [env.bounds], [], []
+    values = array("d", env.signals.values())  # of all samples: a dict for each would fill the memory
     impacts: list[Impact] = []
     contacts: list[LastingContact] = []
     if on_step:
@@ -184,7 +185,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
     while env.agents:
         chosen = policy.act(observations)
         observations, reward, _, _, infos = env.step(chosen)
-        signals.append(env.signals)
+        values.extend(env.signals.values())
         bounds.append(env.bounds)
         actions.append(chosen)
         rewards.append(reward)
@@ -193,8 +194,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         if on_step:
             on_step(env)
     scenario, diagnostics = env.scenario, policy.diagnostics()
-    values = np.fromiter(chain.from_iterable(sample.values() for sample in signals), float)
-    traces = dict(zip(signals[0], values.reshape(len(signals), -1).T.copy(), strict=True))
+    traces = dict(zip(names, np.array(values).reshape(len(bounds), -1).T.copy(), strict=True))
     failed = env.failure is not None
     verdict = next(iter(infos.values()))
     return Episode(
@@ -202,7 +202,7 @@ def rollout(env: Any, policy: Policy, seed: int, on_step: Any = None) -> Episode
         policy=policy.name,
         seed=seed,
         period=scenario.control_period,
-        times=np.arange(len(signals)) * scenario.control_period,
+        times=np.arange(len(bounds)) * scenario.control_period,
         signals=traces,
         actions={name: np.array([action[name] for action in actions]) for name in scenario.agents},
         rewards={name: np.array([reward[name] for reward in rewards]) for name in scenario.agents},

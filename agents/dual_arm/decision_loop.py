@@ -11,6 +11,7 @@ from agents.progress import ADVANCE, ANSWER, BEGIN, OBSERVE, REST, Progress
 from impact_envs.compiled import announce, compiled
 from impact_envs.dual_arm.batch import DualArmBatch
 from impact_envs.dual_arm.step import Output, run_worlds
+from impact_envs.interface.threads import APART
 from planners.dual_arm import world_loop
 from planners.dual_arm.expert_batch import DualArmExpertBatch
 from planners.dual_arm.world_loop import run_experts
@@ -37,7 +38,9 @@ class DualArmLoop:
         """Run the worlds from first to before end until they rest; for PATIENCE, about."""
         world = *self._batch.collect(), tuple(self._output)
         limits = self._batch.last, self._batch.scenario.steps, int(PATIENCE * RATE)
-        cast(Any, run_until_due)(*world, *self._experts.arrays, tuple(self._progress), *limits, thread, first, end)
+        cast(Any, run_until_due)(
+            *world, *self._experts.arrays, tuple(self._progress), *limits, APART * thread, first, end
+        )
 
     def forget(self, worlds: np.ndarray) -> None:
         """Forget the episodes of some worlds, a mask, shape (N,)."""

@@ -14,6 +14,7 @@ from impact_envs.free_flyer.batch import Batch
 from impact_envs.free_flyer.sensing import Sensing
 from impact_envs.free_flyer.step import Memory, Output, Rules, run_range
 from impact_envs.free_flyer.worlds import LOST, OVERFLOW, STEPS, Arena, Scratch, Worlds
+from impact_envs.interface.threads import APART
 from impact_envs.stl.compiled_formula import CompiledFormula
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
@@ -46,7 +47,7 @@ class FreeFlyerLoop:
         world, expert = (*self._batch.arrays, tuple(self._output)), (*self._experts.tables, self._experts.due)
         limits = self._batch.scenario.steps, int(PATIENCE * RATE)
         for plan, *ends in self._experts.split_worlds(first, end):
-            arguments = *world, tuple(plan), *expert, tuple(self._progress), self._wake, *limits, thread, *ends
+            arguments = *world, tuple(plan), *expert, tuple(self._progress), self._wake, *limits, APART * thread, *ends
             cast(Any, run_until_due)(*arguments)
 
     def forget(self, worlds: np.ndarray) -> None:

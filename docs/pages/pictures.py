@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from agents import ResidualPolicy
 from impact_envs import load_scenario, parallel_env, rollout
-from impact_envs.render import Film
+from impact_envs.picture.render import Film
 from planners import make_expert
 from train.cli.plan import Command as PlanCommand
 from train.cli.run import Command as RunCommand

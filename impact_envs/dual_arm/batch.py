@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
 import numpy as np
 from gymnasium.utils import seeding
 
-from impact_envs.capacity import check_size
 from impact_envs.compiled import announce
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.dual_arm.secrets import list_secrets
@@ -28,7 +26,9 @@ from impact_envs.dual_arm.step import (
 from impact_envs.dual_arm.task import EFFORT_PERIOD, DualArmTask
 from impact_envs.dual_arm.world import PLANT, WORLD, make_clock, start_world
 from impact_envs.errors import InputError
-from impact_envs.failure import NotFinite, check_finite
+from impact_envs.interface.capacity import check_size
+from impact_envs.interface.failure import NotFinite, check_finite
+from impact_envs.interface.threads import APART, Threads
 from impact_envs.stl.compiler import compile_formula, read_parts
 from impact_envs.stream import check_seed
 
@@ -97,12 +97,11 @@ class DualArmBatch:
             outcome=np.zeros(count),
         )
         self.secrets = np.zeros((count, task.secrets_layout.size))
-        self._threads = min(threads, count)
-        self._scratch = make_scratch(self._threads)
+        self._threads = Threads(threads, count)
+        self._scratch = make_scratch(self._threads.rows)
         self._generators: list[np.random.Generator] = [np.random.default_rng(0) for _ in range(count)]
         self._overflow = np.zeros(count, np.int64)
         self._todo = np.zeros(count, np.int64)
-        self._pool: ThreadPoolExecutor | None = None
 
     @property
     def steps(self) -> np.ndarray:
@@ -207,7 +206,7 @@ class DualArmBatch:
             todo[restart] = START
             actions = np.where(restart[:, None, None], 0.0, actions)
         finite = np.isfinite(actions)
-        if not finite.all():
+        if np.count_nonzero(finite) < finite.size:
             world, arm = np.argwhere(~finite)[0, :2].tolist()
             name = self.scenario.agents[arm]
             raise InputError(f"action of {name} in world {world} = {actions[world, arm].tolist()}: finite numbers only")
@@ -230,12 +229,7 @@ class DualArmBatch:
 
     def close(self) -> None:
         """Let the threads go; the next step starts new ones."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None}
+        self._threads.close()
 
     def _draw(self, worlds: np.ndarray) -> None:
         """Draw the physics of some worlds, a mask, and put them at their starts."""
@@ -252,15 +246,10 @@ class DualArmBatch:
     def _run(self, actions: np.ndarray, todo: np.ndarray, output: Output) -> None:
         world, shown, call = self.collect(), tuple(output), cast(Any, run_worlds)
 
-        def run(thread: int) -> None:
-            first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
-            call(*world, shown, actions, todo, thread, first, end)
+        def run(thread: int, first: int, end: int) -> None:
+            call(*world, shown, actions, todo, APART * thread, first, end)
 
-        if self._threads == 1:
-            run(0)
-            return
-        self._pool = self._pool or ThreadPoolExecutor(self._threads)
-        list(self._pool.map(run, range(self._threads)))
+        self._threads.share(run)
 
 
 def make_batch(

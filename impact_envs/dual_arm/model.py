@@ -28,6 +28,7 @@ from impact_envs.dual_arm.world import (
     start_world,
 )
 from impact_envs.errors import InputError, choices
+from impact_envs.interface.failure import are_finite
 from impact_envs.physics.impact import Impact
 
 
@@ -91,7 +92,7 @@ class DualArmModel:
             order of `schema.GRASP_SIGNALS` [m, m/s, rad, rad/s, N, N m, s].
         """
         self._call(*self._arrays, ROWS)
-        return self._worlds[0]["rows"].copy()
+        return self._rows.copy()
 
     def contacts(self) -> np.ndarray:
         """Return the contacts at the current state.
@@ -136,16 +137,16 @@ class DualArmModel:
             wrong = ", ".join(sorted(controls.keys() ^ arms.keys()))
             raise InputError(f"controls must name every arm once; wrong or missing: {wrong}; {choices(wrong, arms)}")
         ticks = len(self._torques)
-        for i, (name, control) in enumerate((name, controls[name]) for name in arms):
-            values = np.asarray(control, dtype=float)
-            if values.shape not in ((3,), (ticks, 3)) or not np.isfinite(values).all():
+        for i, name in enumerate(arms):
+            values = np.asarray(controls[name], dtype=float)
+            if values.shape not in ((3,), (ticks, 3)) or not are_finite(values):
                 text = np.array2string(values, threshold=8).replace("\n", "")
                 raise InputError(
                     f"control of {name} = {text}: 3 finite joint torques are needed, or {ticks} rows of them"
                 )
             self._torques[:, i] = values
         self._call(*self._arrays, PERIOD)
-        return self._list_touches() if self._worlds[0]["hits"].any() else []
+        return self._list_touches() if any(self._hits.tolist()) else []
 
     def _list_touches(self) -> list[Impact]:
         """Return the pads' first touches in the last control period, as impacts on the box, in order of time."""
@@ -158,7 +159,9 @@ class DualArmModel:
         return sorted(found, key=lambda impact: impact.time)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_call", "_arrays")}
+        return {
+            name: value for name, value in self.__dict__.items() if name not in ("_call", "_arrays", "_rows", "_hits")
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -167,4 +170,5 @@ class DualArmModel:
     def _bind(self) -> None:
         """Look the compiled function up once; its arguments stay the same."""
         self._arrays = self._plants, self._worlds, self._clock, self._work, self._torques
+        self._rows, self._hits = self._worlds["rows"][0], self._worlds["hits"][0]
         self._call: Callable[..., Any] = bind(run_model, *self._arrays, ROWS)

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from impact_envs.agent_vectors import read_vectors
 from impact_envs.dual_arm.schema import GRASP_SIGNALS, DualArmScenario
+from impact_envs.interface.agent_vectors import read_vectors
 from impact_envs.observation import MOTION, Layout
 
 # What is measured of one arm; with "own", "other" or the arm's name before them these are fields of an observation.

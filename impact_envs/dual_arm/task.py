@@ -8,22 +8,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from gymnasium.spaces import Box
 
-from impact_envs.agent_vectors import read_vectors
 from impact_envs.dual_arm.arm import compute_pose
-from impact_envs.dual_arm.observation import ARM, TRUTH, make_joint_layout, make_layout
+from impact_envs.dual_arm.observation import TRUTH, make_joint_layout, make_layout
 from impact_envs.dual_arm.schema import DualArmScenario, Physics
 from impact_envs.dual_arm.secrets import list_secrets, make_secrets_layout
 from impact_envs.dual_arm.world import FORCES, JOINTS, KEPT
+from impact_envs.interface.agent_vectors import read_vectors
+from impact_envs.interface.shape import Shape
 from impact_envs.observation import Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.reward import compute_effort
-from impact_envs.shape import Shape
 
 MOTION = slice(0, 6)
-SIGNALS = np.r_[MOTION, KEPT]
-# Angles, rates and forces stand side by side in an observation and in a state.
-JOINTED, MOVED = slice(ARM["angles"].start, ARM["forces"].stop), slice(JOINTS.start, FORCES.stop)
-PAD = ARM["pad"]
+MOVED = slice(JOINTS.start, FORCES.stop)  # angles, rates and forces: side by side in a state as in an observation
 # Effort is counted per tenth of a second, however short the control period: the weight of effort then means the same.
 EFFORT_PERIOD = 0.1  # [s]
 PAD_DEPTH, TABLE_DEPTH = 0.03, 0.05  # as drawn [m]
@@ -48,7 +45,7 @@ class DualArmTask:
         self._sizes = dict.fromkeys(scenario.agents, 3)
         self._arms = scenario.arm_numbers()
         self._signals = [f"{body}.{name}" for body in scenario.bodies for name in scenario.signals]
-        self._measured = np.zeros((2, ARM.size))
+        self._measured: list[list[float]] = []  # of each arm, as ARM says
         self.joint_layout = make_joint_layout(scenario)
         self.layouts = dict.fromkeys(scenario.agents, make_layout())
         self.action_spaces = {name: Box(-1.0, 1.0, (3,), np.float32) for name in scenario.agents}
@@ -78,7 +75,7 @@ class DualArmTask:
         read = read_vectors(actions, self._sizes, "action")
         return {
             name: np.array(
-                [min(max(float(u), -1.0), 1.0) * limit for u, limit in zip(read[name], self._limits, strict=True)]
+                [min(max(u, -1.0), 1.0) * limit for u, limit in zip(read[name].tolist(), self._limits, strict=True)]
             )
             for name in actions
         }
@@ -98,10 +95,7 @@ class DualArmTask:
             states: true states, shape (3, 22).
             impacts: of the last control period.
         """
-        for row, state in zip(self._measured, states[:2], strict=True):
-            x, y, vx, vy, heading, omega = state[MOTION].tolist()
-            row[JOINTED] = state[MOVED]
-            row[PAD] = x, y, math.cos(heading), math.sin(heading), vx, vy, omega
+        self._measured = [_measure(state) for state in states[:2].tolist()]
 
     def observe(self, time: float, robustness: Sequence[float]) -> dict[str, np.ndarray]:
         """Return each arm's observation.
@@ -113,15 +107,19 @@ class DualArmTask:
         share = time / self.scenario.horizon
         first, second = self._measured
         pairs = ((first, second), (second, first))
-        return {name: np.append(pair, share) for name, pair in zip(self.scenario.arms, pairs, strict=True)}
+        return {
+            name: np.array([*own, *other, share]) for name, (own, other) in zip(self.scenario.arms, pairs, strict=True)
+        }
 
     def observe_jointly(self, time: float, robustness: Sequence[float]) -> np.ndarray:
         """Return everything measured once: both arms, then time / horizon."""
-        return np.append(self._measured, time / self.scenario.horizon)
+        first, second = self._measured
+        return np.array([*first, *second, time / self.scenario.horizon])
 
     def signals(self, states: np.ndarray) -> dict[str, float]:
         """Return the named signals a formula speaks of, for example ``box.slip``."""
-        return dict(zip(self._signals, states[:, SIGNALS].ravel().tolist(), strict=True))
+        values = [value for row in states.tolist() for value in (*row[MOTION], *row[KEPT])]
+        return dict(zip(self._signals, values, strict=True))
 
     def signal_bounds(self) -> dict[str, tuple[float, float]]:
         """Return the bounds known beforehand: limits of torques and times; no signal of a grasp is negative."""
@@ -169,6 +167,12 @@ class DualArmTask:
             pad = compute_pose(arm, q1, q2, q3)[:2]
             chains[name] = np.array([base, elbow, wrist, pad])
         return chains
+
+
+def _measure(state: list[float]) -> list[float]:
+    """Return what is measured of an arm, as ARM says, from the row of its pad's true state."""
+    x, y, vx, vy, heading, omega = state[MOTION]
+    return [*state[MOVED], x, y, math.cos(heading), math.sin(heading), vx, vy, omega]
 
 
 def _make_rectangle(x0: float, y0: float, x1: float, y1: float) -> tuple[tuple[float, float], ...]:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
 import numpy as np
 
-from impact_envs.capacity import check_size
 from impact_envs.compiled import announce, bind
 from impact_envs.errors import InputError
-from impact_envs.failure import NotFinite, TooManyEvents
 from impact_envs.floating_manipulator.collision import EVENTS
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from impact_envs.floating_manipulator.secrets import list_secrets
@@ -27,6 +24,9 @@ from impact_envs.floating_manipulator.worlds import (
     make_worlds,
     write_physics,
 )
+from impact_envs.interface.capacity import check_size
+from impact_envs.interface.failure import NotFinite, TooManyEvents
+from impact_envs.interface.threads import Threads
 from impact_envs.stl.compiler import compile_formula, read_parts
 from impact_envs.stream import draw_doubles, seed_streams
 
@@ -81,9 +81,8 @@ class ManipulatorBatch:
         scenario.draw(cast(Any, counted))
         self._draw_count = counted.count
         self.secrets = np.zeros((count, task.secrets_layout.size))
-        self._threads = min(threads, count)
-        self._scratch = [make_step_scratch(self._arena) for _ in range(self._threads)]
-        self._pool: ThreadPoolExecutor | None = None
+        self._threads, self._todo = Threads(threads, count), np.zeros(count, np.int64)
+        self._scratch = [make_step_scratch(self._arena) for _ in range(self._threads.number)]
         self._bind()
 
     @property
@@ -192,14 +191,15 @@ class ManipulatorBatch:
         actions = np.ascontiguousarray(actions, dtype=np.float64)
         if actions.shape != (self.count, *self.action_shape):
             raise InputError(f"actions have shape {actions.shape}; {(self.count, *self.action_shape)} is needed")
-        todo = np.full(self.count, STEP, np.int64)
+        todo = self._todo
+        todo[:] = STEP
         if restart is not None and restart.any():
             todo[restart] = START
             actions = np.where(restart[:, None], 0.0, actions)
         else:
             restart = None
         finite = np.isfinite(actions)
-        if not finite.all():
+        if np.count_nonzero(finite) < finite.size:
             self._refuse(actions, finite)
         if restart is not None:
             self._draw(np.flatnonzero(restart))
@@ -207,9 +207,7 @@ class ManipulatorBatch:
 
     def close(self) -> None:
         """Let the threads go; the next step starts new ones."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+        self._threads.close()
 
     def make_output(self, agents: bool) -> Output:
         """Return fresh arrays for a step to fill.
@@ -225,7 +223,7 @@ class ManipulatorBatch:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_call"} | {"_pool": None}
+        return {name: value for name, value in self.__dict__.items() if name != "_call"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -240,15 +238,10 @@ class ManipulatorBatch:
         return self._arena, self._worlds, self._memory, self._formula, self._scratch[thread]
 
     def _run(self, actions: np.ndarray, todo: np.ndarray, output: Output) -> None:
-        def run(thread: int) -> None:
-            first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
+        def run(thread: int, first: int, end: int) -> None:
             self._call(*self.collect(thread), output, actions, todo, first, end)
 
-        if self._threads == 1:
-            run(0)
-            return
-        self._pool = self._pool or ThreadPoolExecutor(self._threads)
-        list(self._pool.map(run, range(self._threads)))
+        self._threads.share(run)
 
     def _draw(self, worlds: np.ndarray) -> None:
         """Draw the physics of some worlds, shape (m,), as `scenario.draw` does."""

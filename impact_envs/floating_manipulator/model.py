@@ -6,7 +6,6 @@ and torques from the commands and speeds at the start of a control period, and h
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +14,6 @@ import numpy as np
 
 from impact_envs.compiled import bind
 from impact_envs.errors import InputError, choices
-from impact_envs.failure import TooManyEvents
 from impact_envs.floating_manipulator.actuation import make_actuators
 from impact_envs.floating_manipulator.collision import (
     ENDLESS,
@@ -33,6 +31,7 @@ from impact_envs.floating_manipulator.flow import (
     make_system,
 )
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
+from impact_envs.interface.failure import TooManyEvents, are_finite
 from impact_envs.physics.impact import Impact
 from impact_envs.physics.multibody import (
     compute_directions,
@@ -255,8 +254,7 @@ class FloatingManipulatorModel:
 def _check_control(agent: str, control: np.ndarray, size: int) -> np.ndarray:
     """Return a control as an array of a size; raise if it is none."""
     values = np.asarray(control, dtype=float)
-    fits = values.shape == (size,)
-    if not fits or (not math.isfinite(sum(values.tolist())) and not np.isfinite(values).all()):
+    if values.shape != (size,) or not are_finite(values):
         text = np.array2string(values, threshold=8).replace("\n", "")
         raise InputError(f"control of {agent} = {text}: {size} finite numbers are needed")
     return values

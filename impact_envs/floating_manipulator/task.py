@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
-from impact_envs.agent_vectors import read_vectors
 from impact_envs.compiled import bind
 from impact_envs.floating_manipulator.actuation import compute_forces, join_limits, make_actuators, scale_action
 from impact_envs.floating_manipulator.observation import find_places, make_layout, select_felt, write_observation
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
 from impact_envs.floating_manipulator.secrets import list_secrets, make_secrets_layout
 from impact_envs.floating_manipulator.signals import find_length, read_coordinates, write_signals
+from impact_envs.interface.agent_vectors import read_vectors
+from impact_envs.interface.shape import Shape
 from impact_envs.observation import MOTION, Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.reward import compute_effort
-from impact_envs.shape import Shape
 from impact_envs.stl import SIGNALS, Distance
 
 LINK_WIDTH = 0.16  # of the arm as drawn [m]
@@ -125,7 +125,8 @@ class FloatingManipulatorTask:
         thrusters = self.scenario.thrusters
         if thrusters is None:
             return 0.0
-        firing = sum(abs(command) > thrusters.dead_zone for command in controls["base"][:2].tolist())
+        x, y, _ = controls["base"].tolist()
+        firing = (abs(x) > thrusters.dead_zone) + (abs(y) > thrusters.dead_zone)
         return firing * self._physics.thruster_force * self.scenario.control_period
 
     def sense(self, states: np.ndarray, impacts: Sequence[Impact]) -> None:
@@ -135,10 +136,10 @@ class FloatingManipulatorTask:
             states: true states, shape (bodies, 6).
             impacts: impacts of the last control period.
         """
-        felt = select_felt(impacts)
+        felt = select_felt(impacts) if impacts else []
         self._store_sample(states, bool(felt))
         self._samples += 1
-        self._impulse = sum((find_length(*impact.impulse) for impact in impacts), 0.0)
+        self._impulse = sum((find_length(*impact.impulse) for impact in impacts), 0.0) if impacts else 0.0
         if felt:
             self._hit = felt[-1].time
         if self._hit is not None:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
-from impact_envs.capacity import check_size
 from impact_envs.compiled import announce, bind
 from impact_envs.domain import load_attribute
 from impact_envs.errors import InputError
-from impact_envs.failure import NotFinite, TooManyEvents, check_finite
 from impact_envs.flight import make_flight, make_no_flight
 from impact_envs.free_flyer.pair import EVENTS
 from impact_envs.free_flyer.schema import SENSOR_COLUMNS, FreeFlyerScenario
@@ -42,6 +39,9 @@ from impact_envs.free_flyer.worlds import (
     make_worlds,
     write_physics,
 )
+from impact_envs.interface.capacity import check_size
+from impact_envs.interface.failure import NotFinite, TooManyEvents, check_finite
+from impact_envs.interface.threads import APART, Threads
 from impact_envs.reward import ROBUSTNESS, find_rates
 from impact_envs.stl.compiler import compile_formula, read_parts
 from impact_envs.stream import draw_doubles, seed_streams
@@ -180,14 +180,13 @@ class Batch(BatchViews):
         self.robots, self.bodies = len(scenario.robots), len(scenario.bodies)
         self.action_shape = self.robots, 3
         self.joint_size, self.agent_size = task.joint_layout.size, task.layouts[scenario.agents[0]].size
-        self._arena, self._scratch = arena, make_scratch(arena, min(threads, count))
+        self._threads = Threads(threads, count)
+        self._arena, self._scratch = arena, make_scratch(arena, self._threads.rows)
         arrays = [array for group in self._make_worlds(1) for array in group]
         check_size(count, sum({array.ctypes.data: array.nbytes for array in arrays}.values()))
         self._worlds, self._memory = self._make_worlds(count)
         self._log = np.zeros((count, 0, ROW))
         self._collect()
-        self._threads = len(self._scratch.motion)
-        self._pool: ThreadPoolExecutor | None = None
         self._todo = np.zeros(count, np.int64)
 
     def seed(self, worlds: np.ndarray, seeds: Sequence[int] | np.ndarray) -> None:
@@ -246,13 +245,11 @@ class Batch(BatchViews):
 
     def close(self) -> None:
         """Let the threads go; the next step starts new ones."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+        self._threads.close()
 
     def __getstate__(self) -> dict[str, Any]:
         state = {name: value for name, value in self.__dict__.items() if name != "_call"}
-        return {**state, "_pool": None, "arrays": ()}
+        return {**state, "arrays": ()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -282,16 +279,10 @@ class Batch(BatchViews):
     def _run(self, actions: np.ndarray, todo: np.ndarray, output: Output) -> None:
         filled, call = tuple(output), self._call
 
-        def run(thread: int) -> None:
-            first, end = thread * self.count // self._threads, (thread + 1) * self.count // self._threads
-            call(*self.arrays, filled, actions, todo, thread, first, end)
+        def run(thread: int, first: int, end: int) -> None:
+            call(*self.arrays, filled, actions, todo, APART * thread, first, end)
 
-        if self._threads == 1:
-            run(0)
-            return
-        # Threads rather than numba.prange, which compiles everything once more.
-        self._pool = self._pool or ThreadPoolExecutor(self._threads)
-        list(self._pool.map(run, range(self._threads)))
+        self._threads.share(run)
 
     def _draw(self, worlds: np.ndarray) -> None:
         if len(worlds) == 0:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from impact_envs.agent_vectors import REAL, check_agents, read_vector
 from impact_envs.compiled import compiled
+from impact_envs.interface.agent_vectors import REAL, check_agents, read_vector
 
 
 def read_commands(commands: Mapping[str, Any], robots: Mapping[str, Any], limits: np.ndarray, what: str) -> np.ndarray:

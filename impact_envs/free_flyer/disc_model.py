@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from impact_envs.compiled import announce
-from impact_envs.failure import TooManyEvents
 from impact_envs.free_flyer.command import read_commands
 from impact_envs.free_flyer.engine import step_alone
 from impact_envs.free_flyer.model import FreeFlyerModel
@@ -27,6 +26,7 @@ from impact_envs.free_flyer.worlds import (
     write_physics,
     write_states,
 )
+from impact_envs.interface.failure import TooManyEvents
 from impact_envs.physics.impact import Impact, LastingContact
 
 

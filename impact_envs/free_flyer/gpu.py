@@ -17,13 +17,13 @@ import numpy as np
 import torch
 from numba import config, cuda, float64, int64, typeof, types
 
-from impact_envs.capacity import check_size
 from impact_envs.compiled import retarget
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.batch import Batch, BatchViews
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.free_flyer.step import LEAVE, START, STEP, Memory, Output, run_range
 from impact_envs.free_flyer.worlds import REST, Scratch, Worlds, write_physics
+from impact_envs.interface.capacity import check_size
 from impact_envs.reward import ROBUSTNESS
 from impact_envs.stream import draw_doubles, seed_streams
 

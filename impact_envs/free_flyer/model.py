@@ -14,7 +14,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from impact_envs.errors import InputError, choices
-from impact_envs.failure import TooManyEvents
 from impact_envs.free_flyer.body import Body, make_obstacle, make_walls
 from impact_envs.free_flyer.deviation import compute_deviation, roll_dice
 from impact_envs.free_flyer.engine import fade_thruster, turn_drift
@@ -53,6 +52,7 @@ from impact_envs.free_flyer.schema import (
     FreeFlyerScenario,
     Physics,
 )
+from impact_envs.interface.failure import TooManyEvents
 from impact_envs.physics.convex import Contact
 from impact_envs.physics.impact import Impact, LastingContact, compute_restitution, is_rebound, solve_contacts
 

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from impact_envs.agent_vectors import read_vectors
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
 from impact_envs.free_flyer.sensing import (
     BODY,
@@ -21,6 +20,7 @@ from impact_envs.free_flyer.sensing import (
     make_sensing,
     sample_alone,
 )
+from impact_envs.interface.agent_vectors import read_vectors
 from impact_envs.observation import Layout, describe_robustness
 
 __all__ = [

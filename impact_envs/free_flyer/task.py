@@ -13,10 +13,10 @@ from impact_envs.free_flyer.observation import Sensors, make_joint_layout, make_
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
 from impact_envs.free_flyer.secrets import list_secrets_of_one, make_secrets_layout
 from impact_envs.free_flyer.sensing import FELT_SPEED, write_observations
+from impact_envs.interface.shape import Shape
 from impact_envs.observation import MOTION, Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.reward import compute_effort
-from impact_envs.shape import Shape
 
 SIGNALS = ("x", "y", "vx", "vy", "heading", "omega")
 

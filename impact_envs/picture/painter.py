@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from impact_envs.errors import InputError, choices
+from impact_envs.interface.shape import Shape
 from impact_envs.picture import drawing, labels
 from impact_envs.picture.canvas import ZOOM, Canvas
 from impact_envs.picture.drawing import Color, Points, mix
 from impact_envs.picture.frame import FOOTER, HEADER, MARGIN, Frame, Mark, Pose
 from impact_envs.picture.header import Writer, write_header
 from impact_envs.picture.trails import Trails
-from impact_envs.shape import Shape
 
 if TYPE_CHECKING:
     import pygame

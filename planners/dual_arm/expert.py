@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from impact_envs.agent_vectors import read_vectors
 from impact_envs.compiled import announce, bind
 from impact_envs.dual_arm.observation import ARM, make_layout
 from impact_envs.dual_arm.schema import DualArmScenario
+from impact_envs.interface.agent_vectors import read_vectors
 from impact_envs.rollout import Diagnostics
 from planners.correction import check_correction
 from planners.dual_arm.dense_qp import COMPILED

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
 import numpy as np
 
-from impact_envs.agent_vectors import REAL
 from impact_envs.compiled import announce
 from impact_envs.dual_arm.observation import ARM, make_joint_layout
 from impact_envs.dual_arm.schema import DualArmScenario
 from impact_envs.errors import InputError
+from impact_envs.interface.threads import APART, Threads
 from planners.correction import spread_corrections
 from planners.dual_arm.control_memory import make_control, make_law, make_scratch
 from planners.dual_arm.dense_qp import COMPILED
@@ -20,6 +19,7 @@ from planners.dual_arm.impact_prediction import load_impact_map
 from planners.dual_arm.options import Options, get_options
 from planners.dual_arm.reference_spreading import NO_MAP
 from planners.dual_arm.world_loop import CONTROL, FEATURES, OBSERVE, run_experts
+from planners.observations import read_observations
 from planners.reading_gate import COUNTS
 
 
@@ -65,13 +65,18 @@ class DualArmExpertBatch:
         believed = scenario.as_believed()
         found = load_impact_map(believed, chosen) if chosen.controller.impact_map else None
         law, impact_map = make_law(believed, chosen.controller, found), found or NO_MAP
-        self.count, self.size, self.threads = count, make_joint_layout(scenario).size, min(threads, count)
+        self.count, self.size = count, make_joint_layout(scenario).size
+        self.threads, self._threads = min(threads, count), Threads(threads, count)
         self._fresh = make_control(law, 1), make_expert_memory(believed, chosen, 1)
         self._control, self._expert = make_control(law, count), make_expert_memory(believed, chosen, count)
         fixed = law, make_rules(believed, chosen), impact_map.heights, impact_map.weights
-        self.arrays: tuple[np.ndarray, ...] = (*fixed, self._control, self._expert, make_scratch(law, self.threads))
+        self.arrays: tuple[np.ndarray, ...] = (
+            *fixed,
+            self._control,
+            self._expert,
+            make_scratch(law, self._threads.rows),
+        )
         self._nothing = np.zeros((count, 0, 0))
-        self._pool: ThreadPoolExecutor | None = None
         self._unread = np.zeros((count, self.size))
         self._run(OBSERVE, self._unread, self._nothing)  # compiles
         self.forget_worlds(np.ones(count, bool))
@@ -111,7 +116,7 @@ class DualArmExpertBatch:
         Raises:
             InputError: observations of another shape.
         """
-        joint = self._check(observations)
+        joint = read_observations(observations, self.count, self.size)
         starts = (joint[:, -1] == 0.0) & joint[:, : 2 * ARM.size].any(axis=1)
         if starts.any():
             self.forget_worlds(starts)
@@ -155,38 +160,17 @@ class DualArmExpertBatch:
 
     def close(self) -> None:
         """Let the threads go; the next act starts new ones."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None}
+        self._threads.close()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         *fixed, _, _, scratch = self.arrays
         self.arrays = *fixed, self._control, self._expert, scratch  # copying makes others of them
 
-    def _check(self, observations: np.ndarray) -> np.ndarray:
-        """Return observations as float64, or raise InputError."""
-        needed = f"real numbers of shape ({self.count}, {self.size}) are needed"
-        try:
-            joint = np.asarray(observations)
-        except (ValueError, TypeError):  # of different lengths
-            raise InputError(f"observations: {needed}") from None
-        if joint.shape != (self.count, self.size) or joint.dtype.kind not in REAL:
-            raise InputError(f"observations have shape {joint.shape}, {joint.dtype}; {needed}")
-        return np.ascontiguousarray(joint, dtype=np.float64)
-
     def _run(self, part: int, joint: np.ndarray, output: np.ndarray) -> None:
         call = cast(Any, run_experts)
 
-        def share(thread: int) -> None:
-            first, end = thread * self.count // self.threads, (thread + 1) * self.count // self.threads
-            call(*self.arrays, joint, output, part, thread, first, end)
+        def run(thread: int, first: int, end: int) -> None:
+            call(*self.arrays, joint, output, part, APART * thread, first, end)
 
-        if self.threads == 1:
-            share(0)
-            return
-        self._pool = self._pool or ThreadPoolExecutor(self.threads)
-        list(self._pool.map(share, range(self.threads)))
+        self._threads.share(run)

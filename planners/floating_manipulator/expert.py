@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from impact_envs.agent_vectors import read_vectors
 from impact_envs.compiled import announce, bind
 from impact_envs.floating_manipulator.observation import Measurement, make_layout
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
+from impact_envs.interface.agent_vectors import read_vectors
 from impact_envs.rollout import Diagnostics
 from planners.correction import check_correction
 from planners.floating_manipulator.correction import get_correction_size, get_feature_size

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
-from impact_envs.agent_vectors import REAL
 from impact_envs.compiled import announce, bind
 from impact_envs.errors import InputError
 from impact_envs.floating_manipulator.observation import make_layout
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
+from impact_envs.interface.threads import Threads
 from planners.correction import spread_corrections
 from planners.floating_manipulator.correction import get_correction_size, get_feature_size
 from planners.floating_manipulator.options import Options, get_options, make_record
@@ -22,6 +21,7 @@ from planners.floating_manipulator.world_memory import (
     make_expert_scratch,
     make_expert_table,
 )
+from planners.observations import read_observations
 
 NONE = np.empty((0, 0))  # stands for an array that a part of the control period does not use
 
@@ -66,9 +66,8 @@ class FloatingManipulatorExpertBatch:
         self.memory = make_expert_memory(table, chosen, count)
         self._arrays = table, self.memory, make_record(chosen)
         self._action_size = sum(len(limits) for limits in scenario.largest_commands.values())
-        self.threads = min(threads, count)
+        self.threads, self._threads = min(threads, count), Threads(threads, count)
         self._scratch = [make_expert_scratch(table) for _ in range(self.threads)]
-        self._pool: ThreadPoolExecutor | None = None
         self._bind()
         self._run(START)
 
@@ -90,7 +89,9 @@ class FloatingManipulatorExpertBatch:
             InputError: observations of another shape.
         """
         actions = np.empty((self.count, self._action_size))
-        self._run(FOLLOW | OBSERVE | CONTROL, joint=self._check(observations), actions=actions)
+        self._run(
+            FOLLOW | OBSERVE | CONTROL, joint=read_observations(observations, self.count, self.size), actions=actions
+        )
         return actions
 
     def observe(self, observations: np.ndarray) -> np.ndarray:
@@ -105,7 +106,7 @@ class FloatingManipulatorExpertBatch:
         Raises:
             InputError: observations of another shape.
         """
-        self._run(FOLLOW | OBSERVE, joint=self._check(observations))
+        self._run(FOLLOW | OBSERVE, joint=read_observations(observations, self.count, self.size))
         return self.awaiting_correction
 
     @property
@@ -144,12 +145,10 @@ class FloatingManipulatorExpertBatch:
 
     def close(self) -> None:
         """Let the threads go; the next step starts new ones."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+        self._threads.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_call"} | {"_pool": None}
+        return {name: value for name, value in self.__dict__.items() if name != "_call"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -165,23 +164,7 @@ class FloatingManipulatorExpertBatch:
     def _run(self, parts: int, joint: np.ndarray = NONE, values: np.ndarray = NONE, actions: np.ndarray = NONE) -> None:
         """Do parts of the control period of all worlds."""
 
-        def share(thread: int) -> None:
-            first, end = thread * self.count // self.threads, (thread + 1) * self.count // self.threads
+        def run(thread: int, first: int, end: int) -> None:
             self._call(*self.collect(thread), joint, values, actions, parts, first, end)
 
-        if self.threads == 1:
-            share(0)
-        else:
-            self._pool = self._pool or ThreadPoolExecutor(self.threads)
-            list(self._pool.map(share, range(self.threads)))
-
-    def _check(self, observations: np.ndarray) -> np.ndarray:
-        """Return observations as float64, or raise InputError."""
-        needed = f"real numbers of shape ({self.count}, {self.size}) are needed"
-        try:
-            joint = np.asarray(observations)
-        except (ValueError, TypeError):  # of different lengths
-            raise InputError(f"observations: {needed}") from None
-        if joint.shape != (self.count, self.size) or joint.dtype.kind not in REAL:
-            raise InputError(f"observations have shape {joint.shape}, {joint.dtype}; {needed}")
-        return np.ascontiguousarray(joint, dtype=np.float64)
+        self._threads.share(run)

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 
-from impact_envs.agent_vectors import REAL
 from impact_envs.compiled import announce
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.observation import make_joint_layout
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.free_flyer.sensing import COS, SIN, TIME, find_shared_place
+from impact_envs.interface.threads import APART, Threads
 from planners.correction import spread_corrections
 from planners.free_flyer.belief.options import Options, get_options, make_record
 from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table
@@ -38,6 +37,7 @@ from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
 from planners.free_flyer.tracking.protocol import Tracker
 from planners.free_flyer.tracking.trackers import check_compiled
+from planners.observations import read_observations
 from planners.plan import Plan
 
 
@@ -92,17 +92,16 @@ class FreeFlyerExpertBatch:
         self._table = make_plan_table(believed, plan, weights=chosen.weights, respond=chosen.respond)
         self._own = dict[int, PlanTable]()
         self.memory = make_world_memory(self._table, count)
-        self.threads = min(threads, count)
+        self.threads, self._threads = min(threads, count), Threads(threads, count)
         chosen = replace(chosen, tracker=check_compiled(chosen.tracker if tracker is None else tracker))
         self._background = Background(believed, chosen)
-        workspace, qp = make_workspace(self.threads), make_rest_qp(self.threads)
+        workspace, qp = make_workspace(self._threads.rows), make_rest_qp(self._threads.rows)
         self.plans_anew = chosen.plan_anew
         self.tables = tuple(self.memory), make_record(chosen), tuple(workspace), tuple(qp)
         self._joint, self._actions = np.zeros((count, self.size)), np.zeros((count, self.robots, 3))
         self.due, self._features = np.full(count, NO_OBJECT), np.zeros((count, self.feature_size))
         self._corrections = np.full((count, self.correction_size), np.nan)
         self._run(self._table, START, 0, 0, count)
-        self._pool: ThreadPoolExecutor | None = None
 
     @property
     def counts(self) -> dict[str, np.ndarray]:
@@ -194,7 +193,7 @@ class FreeFlyerExpertBatch:
                 self.poll_plan(k)
 
     def _read(self, observations: np.ndarray) -> np.ndarray:
-        return self._check(observations)
+        return read_observations(observations, self.count, self.size)
 
     def _finish(self) -> None:
         """Do what comes after the actions."""
@@ -229,38 +228,17 @@ class FreeFlyerExpertBatch:
     def _share(self, phase: int) -> None:
         """Run a phase of every world; threads share the worlds."""
 
-        def run(thread: int) -> None:
-            ends = thread * self.count // self.threads, (thread + 1) * self.count // self.threads
-            for table, first, end in self.split_worlds(*ends):
-                self._run(table, phase, thread, first, end)
+        def run(thread: int, first: int, end: int) -> None:
+            for table, start, stop in self.split_worlds(first, end):
+                self._run(table, phase, APART * thread, start, stop)
 
-        if self.threads == 1:
-            run(0)
-        else:
-            self._pool = self._pool or ThreadPoolExecutor(self.threads)
-            list(self._pool.map(run, range(self.threads)))
-
-    def _check(self, observations: np.ndarray) -> np.ndarray:
-        """Return observations as float64, or raise InputError."""
-        needed = f"real numbers of shape ({self.count}, {self.size}) are needed"
-        try:
-            joint = np.asarray(observations)
-        except (ValueError, TypeError):  # of different lengths
-            raise InputError(f"observations: {needed}") from None
-        if joint.shape != (self.count, self.size) or joint.dtype.kind not in REAL:
-            raise InputError(f"observations have shape {joint.shape}, {joint.dtype}; {needed}")
-        return np.ascontiguousarray(joint, dtype=np.float64)
+        self._threads.share(run)
 
     def _run(self, table: PlanTable, phase: int, thread: int, first: int, end: int) -> None:
         arrays = self._joint, self._actions, self.due, self._corrections, self._features
         cast(Any, run_experts)(tuple(table), *self.tables, *arrays, phase, thread, first, end)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None}
-
     def close(self) -> None:
         """Let the threads and the background's process go; the next act starts new ones."""
         self._background.close()
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+        self._threads.close()

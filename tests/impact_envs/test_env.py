@@ -20,7 +20,7 @@ SHORT = impact_envs.load_scenario("throw_and_catch").override({"horizon": 5.0, "
 
 def test_importing_is_light():
     code = (
-        "import sys, impact_envs, impact_envs.render as render;"
+        "import sys, impact_envs, impact_envs.picture.render as render;"
         "print([m for m in ('torch','casadi','cvxpy','numba','pygame','stable_baselines3') if m in sys.modules]);"
         "render.Renderer((0, 0), (1, 1), []).draw(render.Frame(0.0, {}))"
     )

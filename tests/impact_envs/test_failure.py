@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from impact_envs import load_scenario, parallel_env, rollout, vector_env
-from impact_envs.failure import NotFinite, TooManyEvents, check_finite
+from impact_envs.interface.failure import NotFinite, TooManyEvents, check_finite
 from impact_envs.rollout import ZeroPolicy
 
 DISCS = load_scenario("throw_and_catch").override({"horizon": 5.0, "formula": "F[0,5] pop in goal"})

@@ -9,12 +9,12 @@ import pytest
 
 import impact_envs
 from impact_envs.errors import InputError
+from impact_envs.interface.shape import Shape
 from impact_envs.picture import drawing, labels
+from impact_envs.picture.render import Film, Frame, Mark, Renderer
 from impact_envs.picture.unit import find_unit
 from impact_envs.picture.view import find_view
 from impact_envs.picture.window import Window
-from impact_envs.render import Film, Frame, Mark, Renderer
-from impact_envs.shape import Shape
 from impact_envs.stl import parse
 from planners import make_expert
 
@@ -382,7 +382,7 @@ def test_a_change_of_velocity_is_that_of_the_impulse():
     policy = make_expert(env.scenario)
     impact_envs.rollout(env, policy, seed=1_000_000)
     (mark, *_) = env.make_frame().impacts
-    (impact, _), *_ = env._marks
+    (impact, _), *_ = env.past.marks
     masses = {name: env.scenario.body(name).mass for name in (impact.a, impact.b)}
     for body, sign, (_, _, *change) in zip((impact.a, impact.b), (-1.0, 1.0), mark.changes, strict=True):
         # Thrusters add a little within the control period.

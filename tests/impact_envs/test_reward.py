@@ -111,7 +111,7 @@ def test_bodies_stop_at_the_walls_of_the_world():
     scenario = load_scenario("throw_and_catch").override({"objects.pop.start_velocity": [0.0, 0.4]})
     env = parallel_env(scenario, reward="progress", max_cycles=1)
     env.reset(seed=0)
-    assert env._predict() == pytest.approx(2.5 - scenario.world.upper[1])
+    assert env.referee.predict(env.signals, 0) == pytest.approx(2.5 - scenario.world.upper[1])
 
 
 def test_where_max_cycles_cuts_the_sum_ends_at_the_flight_from_there():

@@ -25,7 +25,7 @@ import tyro
 
 import impact_envs
 from impact_envs.errors import InputError, choices
-from impact_envs.extras import describe_missing
+from impact_envs.interface.extras import describe_missing
 from planners.errors import PlanningError
 from train.cli.progress import show_planning
 from train.errors import Diverged, WorkerLost

@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 from tyro.conf import Positional
 
 from impact_envs.domain import find_part
-from impact_envs.episode_file import check_episode_path
 from impact_envs.errors import InputError
+from impact_envs.interface.episode_file import check_episode_path
 from impact_envs.scenario import Scenario
 from train.cli.plan import check_plan_options, load_plan
 from train.cli.progress import say_written

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from impact_envs.errors import InputError, choices
-from impact_envs.extras import find_extras
+from impact_envs.interface.extras import find_extras
 from impact_envs.rollout import Diagnostics, Policy
 from impact_envs.scenario import Scenario
 from planners.errors import PlanningError

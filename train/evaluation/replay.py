@@ -13,8 +13,8 @@ import numpy as np
 
 from impact_envs.domain import find_part
 from impact_envs.file import make_file_name
+from impact_envs.interface.shape import Shape
 from impact_envs.rollout import Episode
-from impact_envs.shape import Shape
 from planners.plan import Plan
 from train.evaluation.statistics import compute_solve_times
 

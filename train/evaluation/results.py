@@ -69,7 +69,7 @@ class Summary(BaseModel):
 
 
 class ReplayShape(BaseModel):
-    """One disc or polygon, see impact_envs.shape.Shape."""
+    """One disc or polygon, see impact_envs.interface.shape.Shape."""
 
     body: str | None
     role: str

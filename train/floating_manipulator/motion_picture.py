@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from impact_envs.floating_manipulator.task import FloatingManipulatorTask
+from impact_envs.interface.shape import Shape
 from impact_envs.picture import drawing
 from impact_envs.picture.unit import label_robustness
 from impact_envs.rollout import Episode
-from impact_envs.shape import Shape
 from train.floating_manipulator.motion_record import ManipulatorRecord
 from train.pictures.color import hex_color
 from train.pictures.file import save_figure

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from impact_envs.agent_vectors import read_vectors
 from impact_envs.floating_manipulator.observation import Measurement, make_layout
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
+from impact_envs.interface.agent_vectors import read_vectors
 
 
 def read_observations(scenario: FloatingManipulatorScenario, observations: Mapping[str, np.ndarray]) -> Measurement:

@@ -8,9 +8,9 @@ import numpy as np
 from gymnasium.spaces import Box
 from impact_envs.point_mass.schema import Physics, PointMassScenario
 
+from impact_envs.interface.shape import Shape
 from impact_envs.observation import MOTION, Layout
 from impact_envs.physics.impact import Impact
-from impact_envs.shape import Shape
 from impact_envs.stl import SIGNALS
 
 

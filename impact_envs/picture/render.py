@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from impact_envs.errors import InputError, choices
+from impact_envs.interface.shape import Shape
 from impact_envs.picture.film import SUFFIXES, Film
 from impact_envs.picture.frame import Frame, Mark
 from impact_envs.picture.painter import ARROW, Painter
 from impact_envs.picture.window import Window
-from impact_envs.shape import Shape
 
 __all__ = ["MODES", "SUFFIXES", "Film", "Frame", "Mark", "Renderer"]
 
