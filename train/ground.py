@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -20,6 +21,9 @@ from train.evaluation.paired import Gain, compute_gain, summarise_pairs
 from train.settings import parse_settings
 
 DEFAULT_SUITE = "hard"
+
+
+LEAST_LOSS = 0.01  # of success: a policy that loses more than this on the tuning seeds is not kept
 
 
 @dataclass
@@ -119,3 +123,9 @@ def compute_scores(robustness: np.ndarray, scale: float, worst: float) -> np.nda
         worst: a failure counts no more than this.
     """
     return np.maximum(robustness / scale, -worst)
+
+
+def rate_evaluation(evaluation: dict[str, Any]) -> float:
+    """Return what evaluations are ordered by: the gain that is sure, of those that lose hardly any success [m]."""
+    loses = evaluation["success_rate"] < evaluation["expert_success_rate"] - LEAST_LOSS
+    return -math.inf if loses else evaluation["low"]

@@ -14,7 +14,6 @@ seed and its number: a run that was killed and resumed ends with the weights of 
 
 from __future__ import annotations
 
-import math
 import shutil
 import time
 from dataclasses import asdict
@@ -47,12 +46,11 @@ from train.errors import Diverged
 from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
-from train.ground import DEFAULT_SUITE, Ground, compute_scores, judge, make_grounds, read_cases
+from train.ground import DEFAULT_SUITE, Ground, compute_scores, judge, make_grounds, rate_evaluation, read_cases
 from train.limits import check_hidden, check_least, check_ranges, check_same
 from train.settings import list_settings
 from train.watch import Watch, run_script, show_progress
 
-LEAST_LOSS = 0.01  # of success: a policy that loses more than this on the tuning seeds is not kept
 # Arguments that decide what a checkpoint means; a resumed run must have the same.
 FIXED = ("scenarios", "suite", "seed", "variant", "set", "worlds", "group", "hidden", "worst", "cut", "failure")
 
@@ -369,12 +367,6 @@ def compare_episodes(args: Args, played: Played, scale: float) -> np.ndarray:
     """
     better = compute_advantages(compute_scores(played.robustness, scale, args.worst), args.group, args.cut)
     return better + args.failure * compute_advantages(played.success.astype(float), args.group)
-
-
-def rate_evaluation(evaluation: dict[str, Any]) -> float:
-    """Return what evaluations are ordered by: the gain that is sure, of those that lose hardly any success [m]."""
-    loses = evaluation["success_rate"] < evaluation["expert_success_rate"] - LEAST_LOSS
-    return -math.inf if loses else evaluation["low"]
 
 
 def describe_evaluation(evaluation: dict[str, Any]) -> str:

@@ -3,8 +3,8 @@
 ``python -m train.tune --help`` lists every argument. The cross-entropy method draws constants, or one constant for each
 number of the impact in the plan, and moves to the best of them; all candidates of a generation play the same tuning
 seeds, in one batch of worlds. The last generations' means and zero then play tuning seeds that the search has not seen,
-and whoever gains most is kept. ``out`` is then a checkpoint as a trained one is: a network of one layer that reads the
-number of the impact, or nothing.
+and whoever surely gains most there, without losing success, is kept: the rule of trained policies. ``out`` is then a
+checkpoint as a trained one is: a network of one layer that reads the number of the impact, or nothing.
 
 Nothing is written before the end, and a run cannot be resumed: it takes a minute or two.
 
@@ -30,7 +30,7 @@ from train.arguments import Args, TuneArgs
 from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions
-from train.ground import DEFAULT_SUITE, Ground, compute_scores, judge, make_grounds, read_cases
+from train.ground import DEFAULT_SUITE, Ground, compute_scores, judge, make_grounds, rate_evaluation, read_cases
 from train.limits import check_least, check_ranges
 from train.settings import list_settings
 from train.watch import Watch, run_script, show_progress
@@ -219,7 +219,9 @@ def read_numbers(features: np.ndarray, numbers: int) -> np.ndarray:
 def choose_best(
     args: TuneArgs, grounds: list[Ground], means: list[np.ndarray], numbers: int, watch: Watch
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """Return whichever of zero and the last means gains most on seeds that the search has not seen, and its gain there.
+    """Return whichever of zero and the last means surely gains most on seeds that the search has not seen; see judge.
+
+    The rule is that of trained policies: whoever loses success is not kept.
 
     Args:
         args: of the run.
@@ -238,7 +240,7 @@ def choose_best(
             f"{'zero' if place == 0 else f'finalist {place}'}: success {100 * found[-1]['success_rate']:.1f} % "
             f"(expert {100 * found[-1]['expert_success_rate']:.1f} %), gain {found[-1]['gain']:+.4f} m"
         )
-    best = max(range(len(finalists)), key=lambda place: found[place]["gain"])
+    best = max(range(len(finalists)), key=lambda place: rate_evaluation(found[place]))
     return finalists[best], found[best]
 
 

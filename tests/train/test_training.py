@@ -29,8 +29,8 @@ from train.cli.main import main as run_command
 from train.errors import Diverged
 from train.evaluation.case import EVALUATION_SEEDS, REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.paired import QUANTILE, Gain, compute_gain, compute_interquartile_mean, summarise_pairs
-from train.ground import compute_scores
-from train.residual import LEAST_LOSS, Args, check_evaluations, compare_episodes, main, rate_evaluation
+from train.ground import LEAST_LOSS, compute_scores, rate_evaluation
+from train.residual import Args, check_evaluations, compare_episodes, main
 
 SCORED = {"iterations": 0, "low": 0.0, "success_rate": 1.0, "expert_success_rate": 1.0}
 STEPS = 96  # three iterations and a bit: an episode of throw_and_catch asks for two corrections

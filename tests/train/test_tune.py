@@ -47,12 +47,24 @@ def test_the_search_finds_a_known_optimum(numbers: int, monkeypatch: pytest.Monk
     assert (found[met:] == 0.0).all()  # impacts that the plan does not have stay uncorrected
 
 
-@pytest.mark.parametrize(("gains", "kept"), [((0.0, -0.1, -0.2), 0), ((0.0, 0.3, 0.1), 1)])
-def test_zero_is_kept_unless_a_finalist_gains(
-    gains: tuple[float, ...], kept: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("gains", "success", "kept"),
+    [
+        ((0.0, -0.1, -0.2), (0.9, 0.9, 0.9), 0),
+        ((0.0, 0.3, 0.1), (0.9, 0.9, 0.9), 1),
+        ((0.0, 0.3, 0.1), (0.9, 0.8, 0.9), 2),  # who loses success is not kept, whatever it gains
+    ],
+)
+def test_zero_is_kept_unless_a_finalist_surely_gains_without_losing_success(
+    gains: tuple[float, ...], success: tuple[float, ...], kept: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    said = iter(gains)
-    monkeypatch.setattr(tune, "judge", lambda *_: {"gain": next(said), "success_rate": 1.0, "expert_success_rate": 1.0})
+    said = iter(zip(gains, success, strict=True))
+
+    def judge(*_: Any) -> dict[str, float]:
+        gain, rate = next(said)
+        return {"gain": gain, "low": gain, "success_rate": rate, "expert_success_rate": 0.9}
+
+    monkeypatch.setattr(tune, "judge", judge)
     means = [np.full((1, 3), 0.1), np.full((1, 3), 0.2)]
     constants, found = tune.choose_best(ARGS, [make_ground()], means, 0, SILENT)
     assert found["gain"] == gains[kept]
