@@ -60,7 +60,7 @@ class PinnedScenario:
             low, high = self._ranges[name]
             usual = Truth.model_fields[name].default
             value = getattr(self._scenario.believed, name) if usual is None else usual
-            places.append((value + 0.5 * self._whole[name] - low) / (high - low))
+            places.append(_find_place(value + 0.5 * self._whole[name], low, high))
         return np.array(places)
 
     def pin(self, places: np.ndarray) -> None:
@@ -87,3 +87,13 @@ class PinnedScenario:
             value = float(low + (high - low) * place)
             values[f"true.{name}"] = min(float(np.floor(value)), high - 1.0) if self._whole[name] else value
         return values
+
+
+def _find_place(value: float, low: float, high: float) -> float:
+    """Return the place at which low + (high - low) place is a value to the last bit, where one nearby is.
+
+    Rounding must not make a disturbance that is zero a little negative, which no scenario may have.
+    """
+    place = (value - low) / (high - low)
+    near = [place + ulps * float(np.spacing(place)) for ulps in sorted(range(-8, 9), key=abs)]
+    return next((one for one in near if low + (high - low) * one == value), place)

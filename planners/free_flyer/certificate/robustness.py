@@ -6,36 +6,29 @@ signal jumps, as velocities do at impacts, both sides count, the worse one where
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 
-from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import (
     Always,
     And,
-    Distance,
     Eventually,
     Formula,
     Implies,
-    In,
-    Linear,
     Not,
     Or,
-    Predicate,
-    Speed,
     Trace,
     Until,
     robustness,
 )
-from planners.free_flyer.certificate.area import make_faces
 from planners.free_flyer.certificate.claim import Claim
-from planners.free_flyer.certificate.motion import ONE
-from planners.free_flyer.certificate.polynomial import Polynomial, Range, combine, root_above, root_below, square
-from planners.free_flyer.certificate.search import Effort, Measure, find_minimum
+from planners.free_flyer.certificate.polynomial import Range
+from planners.free_flyer.certificate.search import Effort, find_minimum
+from planners.free_flyer.certificate.state_formula import make_leaf, negate_bounds, pick_bounds
 from planners.free_flyer.certificate.track import Cell, Track, find_value, list_cells, make_track
 
 Interval = tuple[Fraction, Fraction]
@@ -94,23 +87,6 @@ def _sample(track: Track, instants: Sequence[Fraction]) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Leaf:
-    """A formula without temporal operators over an interval.
-
-    Attributes:
-        signals: whose polynomials it needs.
-        parts: from these to its own polynomials.
-        measure: from bounds of its own polynomials to those of its robustness.
-        count: of its own polynomials.
-    """
-
-    signals: tuple[str, ...]
-    parts: Callable[[Mapping[str, Polynomial]], list[Polynomial]]
-    measure: Measure
-    count: int
-
-
-@dataclass(frozen=True)
 class _Bounding:
     """Bounds of the least of sign times robustness over an interval: of a formula (1) or its negation (-1)."""
 
@@ -128,7 +104,7 @@ class _Bounding:
             case Implies():
                 return self.bound(formula.define(), interval, sign)
             case And(operands) | Or(operands) if isinstance(formula, all_hold):
-                return _pick(min, [self.bound(operand, interval, sign) for operand in operands])
+                return pick_bounds(min, [self.bound(operand, interval, sign) for operand in operands])
             case _ if not formula.is_temporal:
                 return self._bound_state(formula, interval, sign)
             case And(operands) | Or(operands):
@@ -141,19 +117,19 @@ class _Bounding:
                 return self._halve(lambda *part: self._bound_some(child, part, window, sign), interval)
             case Until():
                 if sign < 0:
-                    return _negate(self._bound_most_until(formula, interval))
+                    return negate_bounds(self._bound_most_until(formula, interval))
                 return self._halve(lambda *part: self._bound_until(formula, part), interval)
         return self.bound(formula.define(), interval, sign)
 
     def _bound_state(self, formula: Formula, interval: Interval, sign: int) -> Range:
-        leaf = _make_leaf(formula, self.scenario)
+        leaf = make_leaf(formula, self.scenario)
         names = leaf.signals
         cells = [
             Cell(cell.start, cell.end, tuple(leaf.parts(dict(zip(names, cell.parts, strict=True)))))
             for cell in list_cells([self.signals[name] for name in names], *interval)
         ]
         bounds = find_minimum(
-            cells, leaf.measure if sign > 0 else lambda ranges: _negate(leaf.measure(ranges)), self.effort
+            cells, leaf.measure if sign > 0 else lambda ranges: negate_bounds(leaf.measure(ranges)), self.effort
         )
         return bounds.low, bounds.high
 
@@ -196,7 +172,7 @@ class _Bounding:
             )
             return -high, -low
 
-        return _negate(self._halve(measure, window))
+        return negate_bounds(self._halve(measure, window))
 
     def _bound_most_until(self, formula: Until, interval: Interval) -> Range:
         """Return bounds of the greatest of an until over an interval: whoever waits least needs the left side least."""
@@ -214,7 +190,7 @@ class _Bounding:
             )
             return -high, -low
 
-        return _negate(self._halve(measure, self._shift(interval, formula.interval)))
+        return negate_bounds(self._halve(measure, self._shift(interval, formula.interval)))
 
     def _halve(self, bound: Bound, interval: Interval) -> Range:
         """Return bounds of the least of a value over an interval, whose lowest part is halved first.
@@ -240,103 +216,6 @@ class _Bounding:
         """Return the instants that a window ahead covers; rounded ends must not leave the horizon."""
         start, end = (edge + Fraction(ahead) for edge, ahead in zip(interval, window, strict=True))
         return min(start, self.horizon), min(end, self.horizon)
-
-
-def _make_leaf(formula: Formula, scenario: FreeFlyerScenario) -> _Leaf:
-    """Return the polynomials and the measure of a formula without temporal operators.
-
-    Raises:
-        InputError: it has a predicate that is not known here.
-    """
-    match formula:
-        case Not(child):
-            leaf = _make_leaf(child, scenario)
-            return _Leaf(leaf.signals, leaf.parts, lambda ranges: _negate(leaf.measure(ranges)), leaf.count)
-        case And(operands):
-            return _join(min, [_make_leaf(operand, scenario) for operand in operands])
-        case Or(operands):
-            return _join(max, [_make_leaf(operand, scenario) for operand in operands])
-        case In():
-            return _make_area_leaf(formula, scenario)
-        case Linear():
-            return _make_linear_leaf(formula)
-        case Distance() | Speed():
-            return _make_norm_leaf(formula)
-        case Predicate():
-            raise InputError(f"predicate '{formula}' cannot be certified")
-    return _make_leaf(formula.define(), scenario)
-
-
-def _make_area_leaf(formula: In, scenario: FreeFlyerScenario) -> _Leaf:
-    faces = make_faces(scenario.areas[formula.area].corners)
-    x, y = formula.signals()
-
-    def measure(ranges: Sequence[Range]) -> Range:
-        inside = _pick(min, [face.bound(part) for face, part in zip(faces, ranges, strict=True)])
-        return _negate(inside) if formula.negated else inside
-
-    def parts(signals: Mapping[str, Polynomial]) -> list[Polynomial]:
-        return [face.make_part(signals[x], signals[y]) for face in faces]
-
-    return _Leaf((x, y), parts, measure, len(faces))
-
-
-def _make_linear_leaf(formula: Linear) -> _Leaf:
-    sign, names = Fraction(formula.sign), formula.signals()
-    weights = [-sign * Fraction(coefficient) for _, coefficient in formula.terms]
-
-    def parts(signals: Mapping[str, Polynomial]) -> list[Polynomial]:
-        return [combine([signals[name] for name in names], weights, sign * Fraction(formula.bound))]
-
-    return _Leaf(names, parts, lambda ranges: ranges[0], 1)
-
-
-def _make_norm_leaf(formula: Distance | Speed) -> _Leaf:
-    """Return the leaf of a bound on a norm; its polynomial is the square of the norm."""
-    bound = Fraction(formula.bound)
-    pairs: list[tuple[str, ...]]
-    if isinstance(formula, Distance):
-        pairs = [(f"{formula.a}.{axis}", f"{formula.b}.{axis}") for axis in "xy"]
-    else:
-        pairs = [(f"{formula.body}.{axis}",) for axis in ("vx", "vy")]
-
-    def parts(signals: Mapping[str, Polynomial]) -> list[Polynomial]:
-        rows = [combine([signals[name] for name in pair], [ONE, -ONE][: len(pair)], Fraction(0)) for pair in pairs]
-        return [combine([square(row) for row in rows], [ONE, ONE], Fraction(0))]
-
-    def measure(ranges: Sequence[Range]) -> Range:
-        low, high = (max(end, Fraction(0)) for end in ranges[0])
-        slack = bound - root_above(high), bound - root_below(low)
-        return slack if formula.is_upper else _negate(slack)
-
-    return _Leaf(formula.signals(), parts, measure, 1)
-
-
-def _join(pick: Callable[..., Fraction], leaves: Sequence[_Leaf]) -> _Leaf:
-    names = tuple(dict.fromkeys(name for leaf in leaves for name in leaf.signals))
-
-    def parts(signals: Mapping[str, Polynomial]) -> list[Polynomial]:
-        return [part for leaf in leaves for part in leaf.parts(signals)]
-
-    def measure(ranges: Sequence[Range]) -> Range:
-        return _pick(pick, [leaf.measure(share) for leaf, share in _deal(leaves, ranges)])
-
-    return _Leaf(names, parts, measure, sum(leaf.count for leaf in leaves))
-
-
-def _deal(leaves: Sequence[_Leaf], ranges: Sequence[Range]) -> Iterator[tuple[_Leaf, Sequence[Range]]]:
-    start = 0
-    for leaf in leaves:
-        yield leaf, ranges[start : start + leaf.count]
-        start += leaf.count
-
-
-def _pick(pick: Callable[..., Fraction], bounds: Sequence[Range]) -> Range:
-    return pick(low for low, _ in bounds), pick(high for _, high in bounds)
-
-
-def _negate(bounds: Range) -> Range:
-    return -bounds[1], -bounds[0]
 
 
 def _is_instant(window: tuple[float, float]) -> bool:

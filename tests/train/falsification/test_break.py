@@ -81,8 +81,12 @@ def test_pinned_worlds_have_the_values_that_are_told():
         same = narrowed.draw_many(uniforms[k : k + 1])
         for numbers, wanted in zip(drawn[:4], same[:4], strict=True):
             np.testing.assert_array_equal(numbers[k], wanted[0])
+    usual = pinned.list_values(pinned.nominal)
+    assert usual.pop("true.restitution") == scenario.believed.restitution
+    assert usual.pop("true.object_mass_scale") == 1.0
+    assert set(usual.values()) == {0.0}
     pinned.pin(pinned.nominal[None])
-    assert pinned.draw_many(uniforms[:1]).contact[0, 0] == pytest.approx(scenario.believed.restitution)
+    assert pinned.draw_many(uniforms[:1]).contact[0, 0] == scenario.believed.restitution
 
 
 def test_suite_that_is_written_has_the_very_episode_that_was_found(tmp_path):
