@@ -197,9 +197,6 @@ def _free(task: NominalTask, done: _Done, pieces: int, rho: tuple[float, float],
     grid = replace(grid, axes=DIRECTIONS)
     add_clearance_rows(grid, task.scenario, task.reserves, _list_places(task.scenario, range(grid.count)))
     model = grid.model
-    moments = np.concatenate([[0.0], done.times, [task.scenario.horizon]])
-    for name in grid.objects:
-        straighten_flight(grid, name, done.word, moments)
     bounds = list(model.lower), list(model.upper)
     _pin(grid, done, len(done.word))
     model.objective = -grid.rho
@@ -207,6 +204,9 @@ def _free(task: NominalTask, done: _Done, pieces: int, rho: tuple[float, float],
     model.lower, model.upper = bounds
     for index in np.flatnonzero(model.integer):
         model.lower[index] = model.upper[index] = float(np.round(x[index]))
+    moments = evaluate(grid.times[::pieces], x)
+    for name in grid.objects:
+        straighten_flight(grid, name, done.word, moments, rests=True)
     return WordGrid(task, grid, choices, solve(model, limit, solver=task.solver, work=task.work).x)
 
 

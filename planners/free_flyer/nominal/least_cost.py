@@ -240,7 +240,7 @@ class CostProblem:
                 part.add_tangents(self.grid.model, speed)
 
 
-def straighten_flight(grid: EventGrid, name: str, word: Word, moments: np.ndarray) -> None:
+def straighten_flight(grid: EventGrid, name: str, word: Word, moments: np.ndarray, rests: bool = False) -> None:
     """Fix the shares of time and way of an object's legs between its own events.
 
     Args:
@@ -248,11 +248,13 @@ def straighten_flight(grid: EventGrid, name: str, word: Word, moments: np.ndarra
         name: of the object.
         word: who hits what.
         moments: of the events, which the shares are taken from, shape (K + 2,) [s].
+        rests: whether the object rests before its first and after its last own event, so that nothing is fixed there.
     """
     times = grid.times[:: grid.pieces]
     path, own = np.array(grid.path(name), dtype=object), own_events(word, name)
     # An object that moves at the start is on its ray up to its first own event.
-    for a, b in itertools.pairwise(own[1:] if name in grid.moving else own):
+    own = own[1:] if name in grid.moving or rests else own
+    for a, b in itertools.pairwise(own[:-1] if rests else own):
         for k in range(a + 1, b):
             share = (moments[k] - moments[a]) / (moments[b] - moments[a])
             for values in (path[:, 0], path[:, 1], times):
