@@ -109,9 +109,9 @@ def _is_short(grid: EventGrid, scenario: FreeFlyerScenario, reserves: Reserves, 
 
 
 def _separations(grid: EventGrid, first: str, second: str, piece: int) -> list[list[tuple[int, Affine | float]]]:
-    """Return, per axis, the two ends of a piece and the separation there."""
+    """Return, per axis of the grid, the two ends of a piece and the separation there."""
     gaps = [(knot, grid.knots[second][knot] - grid.knots[first][knot]) for knot in (piece, piece + 1)]
-    return [[(knot, axis @ gap) for knot, gap in gaps] for axis in AXES]
+    return [[(knot, axis @ gap) for knot, gap in gaps] for axis in grid.axes]
 
 
 def _wanted(

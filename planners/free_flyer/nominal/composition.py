@@ -1,9 +1,9 @@
 """Several objects one after another: what objects need alone is put together in time, without a search over sequences.
 
 The model of all objects at once has a binary for every side of every obstacle on every leg of every body: with
-obstacles it takes minutes. Here an object's impacts follow those of the objects before it, whose times and places are
-given numbers; what is left to decide is hardly more than for one object. Afterwards all numbers are free again, and
-only the alternatives (who hits, on which side to pass) are kept: a linear model.
+obstacles it takes minutes. Here an object's impacts come between or after those of the objects before it, whose times
+and flights are given numbers; what is left to decide is hardly more than for one object. Afterwards all numbers are
+free again, and only the alternatives (who hits, on which side to pass) are kept: a linear model.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from planners.errors import PlanningError, SolverFailed
 from planners.free_flyer.nominal.clearance_rows import add_clearance_rows, solve_apart
 from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import ANYBODY, Word
-from planners.free_flyer.nominal.least_cost import read_word
+from planners.free_flyer.nominal.least_cost import read_word, straighten_flight
 from planners.free_flyer.nominal.leg_times import Wait
 from planners.free_flyer.nominal.sequence_search import list_parts_about
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.word_grid import WordGrid
+from planners.free_flyer.specification.direction import DIRECTIONS
 from planners.free_flyer.specification.formula_rows import add_demands
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import Demands, read_demands
@@ -119,6 +120,8 @@ def _append(
 ) -> _Done:
     """Return what is done with the impacts of one more object, the last of `objects`, as early as may be.
 
+    Its impacts come after all others or, where they find no time there, while another object flies.
+
     Args:
         task, pieces, find_time_left, options: as for `compose_objects`.
         done: what is done of the other objects.
@@ -131,12 +134,13 @@ def _append(
     """
     failure: PlanningError = SolverFailed("composition", "no time or number of impacts is left", "raise the limits")
     demands = _restrict_demands(task, objects)
-    for impacts in allowed[: options.compose.more_impacts + 1]:
+    numbers, gaps = allowed[: options.compose.more_impacts + 1], range(len(done.word), -1, -1)
+    for impacts, gap in itertools.product(numbers, gaps):
         limit = find_time_left()
         if limit <= 0.0:
             break
         try:
-            return _append_impacts(task, demands, done, objects[-1], impacts, pieces, rho, limit, options)
+            return _append_impacts(task, demands, done, objects[-1], impacts, gap, pieces, rho, limit, options)
         except PlanningError as error:
             failure = error
     raise failure
@@ -148,19 +152,23 @@ def _append_impacts(
     done: _Done,
     name: str,
     impacts: int,
+    gap: int,
     pieces: int,
     rho: float,
     limit: float,
     options: PlanOptions,
 ) -> _Done:
+    """Return what is done with so many impacts of an object after the first few (`gap`) of the others."""
     scenario, chosen = task.scenario, options.compose
-    word = (*done.word, *((ANYBODY, name),) * impacts)
+    word = (*done.word[:gap], *((ANYBODY, name),) * impacts, *done.word[gap:])
     grid = build_event_grid(scenario, len(word), (rho - NEAR, rho), task.reserves, pieces, word=word, sharp=True)
-    _pin(grid, done)
+    grid = replace(grid, axes=DIRECTIONS)  # a flight may pass a resting object at a slant
+    _pin(grid, done, gap)
+    _pin_later(grid, done, gap, impacts, name)
     add_demands(grid, demands, scenario.control_period, passing=True)
-    first = len(done.word) * pieces
+    first = gap * pieces
     add_clearance_rows(grid, scenario, task.reserves, _list_places(scenario, range(first, grid.count)))
-    last = grid.times[len(word) * pieces]
+    last = grid.times[(gap + impacts) * pieces]
     assert isinstance(last, Affine)
     grid.model.objective = last
 
@@ -186,15 +194,19 @@ def _free(task: NominalTask, done: _Done, pieces: int, rho: tuple[float, float],
     """
     size = GridSize(len(done.word), pieces, passing=True)
     grid, choices = replace(task, sharp=True).build(size, rho, done.word)
+    grid = replace(grid, axes=DIRECTIONS)
     add_clearance_rows(grid, task.scenario, task.reserves, _list_places(task.scenario, range(grid.count)))
     model = grid.model
     bounds = list(model.lower), list(model.upper)
-    _pin(grid, done)
+    _pin(grid, done, len(done.word))
     model.objective = -grid.rho
     x = solve(model, limit, 1.0, task.solver, work=task.work).x
     model.lower, model.upper = bounds
     for index in np.flatnonzero(model.integer):
         model.lower[index] = model.upper[index] = float(np.round(x[index]))
+    moments = evaluate(grid.times[::pieces], x)
+    for name in grid.objects:
+        straighten_flight(grid, name, done.word, moments, rests=True)
     return WordGrid(task, grid, choices, solve(model, limit, solver=task.solver, work=task.work).x)
 
 
@@ -216,12 +228,41 @@ def add_waits(found: WordGrid, waits: Iterable[Wait], time_limit: float) -> Word
     return replace(found, x=solve(grid.model, time_limit, solver=task.solver, work=task.work).x)
 
 
-def _pin(grid: EventGrid, done: _Done) -> None:
-    """Bound times and places of what is done closely around their given numbers."""
-    _bound(grid.model, grid.times[grid.pieces :: grid.pieces], done.times)
+def _pin(grid: EventGrid, done: _Done, events: int) -> None:
+    """Bound times and places closely around their given numbers, up to so many events."""
+    _bound(grid.model, grid.times[grid.pieces :: grid.pieces], done.times[:events])
     for name, places in done.knots.items():
         for d in range(2):
-            _bound(grid.model, [knot[d] for knot in grid.knots[name]], places[:, d])
+            _bound(grid.model, [knot[d] for knot in grid.knots[name]], places[: events * grid.pieces + 1, d])
+
+
+def _pin_later(grid: EventGrid, done: _Done, gap: int, impacts: int, name: str) -> None:
+    """Keep the other objects on their given flights during the impacts of one, and after these; robots are free.
+
+    Args:
+        grid: gets the rows.
+        done: what is given.
+        gap: number of events before the impacts.
+        impacts: their number.
+        name: of the object that is hit.
+    """
+    if gap == len(done.word):
+        return
+    times = grid.times[:: grid.pieces]
+    _bound(grid.model, times[gap + impacts + 1 :], done.times[gap:])
+    before, after = (np.concatenate([[0.0], done.times])[k] for k in (gap, gap + 1))
+    for other in grid.objects:
+        if other == name:
+            continue
+        path, places = grid.path(other), done.knots[other][:: grid.pieces]
+        velocity = (places[gap + 1] - places[gap]) / (after - before)
+        for event, d in itertools.product(range(gap + 1, gap + impacts + 1), range(2)):
+            miss = path[event][d] - (places[gap][d] + (times[event] - before) * velocity[d])
+            if isinstance(miss, Affine) and miss.coefficients:
+                grid.model.require(miss - NEAR)
+                grid.model.require(-miss - NEAR)
+        for d in range(2):
+            _bound(grid.model, [place[d] for place in path[gap + impacts + 1 :]], places[gap + 1 :, d])
 
 
 def _bound(model: Model, expressions: Sequence[Affine | float], values: np.ndarray) -> None:

@@ -63,6 +63,7 @@ class EventGrid:
         moving: names of the objects that move at the start.
         first_turn: share of this time that counts on the first leg.
         apart: pairs of bodies with the pieces on which rows keep them apart.
+        axes: directions along which rows may keep them apart, shape (n, 2).
     """
 
     model: Model
@@ -79,6 +80,7 @@ class EventGrid:
     moving: tuple[str, ...] = ()
     first_turn: float = 1.0
     apart: set[tuple[str, str, int]] = field(default_factory=set)
+    axes: np.ndarray = field(default_factory=lambda: AXES)
 
     @property
     def count(self) -> int:

@@ -230,20 +230,7 @@ class CostProblem:
             for hit in hits.values():
                 _fix(model, hit, round(float(evaluate(hit, x))))
         for name in grid.objects:
-            self._straighten_flight(name, read_word(grid, x), evaluate(grid.times[:: grid.pieces], x))
-
-    def _straighten_flight(self, name: str, word: Word, moments: np.ndarray) -> None:
-        """Fix the shares of time and way of an object's legs between its own events."""
-        grid, times = self.grid, self.grid.times[:: self.grid.pieces]
-        path, own = np.array(grid.path(name), dtype=object), own_events(word, name)
-        # An object that moves at the start is on its ray up to its first own event.
-        for a, b in itertools.pairwise(own[1:] if name in grid.moving else own):
-            for k in range(a + 1, b):
-                share = (moments[k] - moments[a]) / (moments[b] - moments[a])
-                for values in (path[:, 0], path[:, 1], times):
-                    miss = values[k] - values[a] - (values[b] - values[a]) * share
-                    if isinstance(miss, Affine):
-                        grid.model.require_equal(miss)
+            straighten_flight(grid, name, read_word(grid, x), evaluate(grid.times[:: grid.pieces], x))
 
     def _add_tangents(self, x: np.ndarray, relaxed: np.ndarray) -> None:
         """Add the tangent planes at a point and at the relaxed one, and their mirror images."""
@@ -251,6 +238,29 @@ class CostProblem:
             speeds = {round(abs(part.move.value(point)) / part.duration.value(point), 6) for point in (x, relaxed)}
             for speed in speeds - {0.0}:
                 part.add_tangents(self.grid.model, speed)
+
+
+def straighten_flight(grid: EventGrid, name: str, word: Word, moments: np.ndarray, rests: bool = False) -> None:
+    """Fix the shares of time and way of an object's legs between its own events.
+
+    Args:
+        grid: gets the rows.
+        name: of the object.
+        word: who hits what.
+        moments: of the events, which the shares are taken from, shape (K + 2,) [s].
+        rests: whether the object rests before its first and after its last own event, so that nothing is fixed there.
+    """
+    times = grid.times[:: grid.pieces]
+    path, own = np.array(grid.path(name), dtype=object), own_events(word, name)
+    # An object that moves at the start is on its ray up to its first own event.
+    own = own[1:] if name in grid.moving or rests else own
+    for a, b in itertools.pairwise(own[:-1] if rests else own):
+        for k in range(a + 1, b):
+            share = (moments[k] - moments[a]) / (moments[b] - moments[a])
+            for values in (path[:, 0], path[:, 1], times):
+                miss = values[k] - values[a] - (values[b] - values[a]) * share
+                if isinstance(miss, Affine):
+                    grid.model.require_equal(miss)
 
 
 def read_events(task: NominalTask, grid: EventGrid, choices: Choices, x: np.ndarray, bound: float = 0.0) -> CostOptimum:

@@ -13,6 +13,7 @@ from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.composition import compose_objects, is_large
 from planners.free_flyer.nominal.event_sequence import Hitter, Word
 from planners.free_flyer.nominal.least_cost import CostOptimum, minimise_path_cost
+from planners.free_flyer.nominal.screening import exclude_size
 from planners.free_flyer.nominal.sequence_search import lengthen_words, restrict_to_object, search_words
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.word_grid import WordGrid, solve_word_grid
@@ -143,6 +144,8 @@ def _solve_size(
     task: NominalTask, size: GridSize, rho: tuple[float, float], time_limit: float, options: PlanOptions
 ) -> RobustnessOptimum:
     """Return the greatest robustness, between two numbers, of plans of one size."""
+    if options.thorough and (size.impacts >= options.many_impacts or size.pieces > MANY):
+        exclude_size(task, size, rho, time_limit)
     found = solve_word_grid(task, size, rho, time_limit, options.robustness_gap)
     best, events = found.rho, None
     if len(task.scenario.objects) == 1:

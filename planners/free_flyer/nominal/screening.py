@@ -1,14 +1,45 @@
-"""A quick proof that a task has no plan: not even one in which bodies pass through each other."""
+"""Quick proofs that a task has no plan: not even one in which bodies pass through each other, or through walls."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+
+import numpy as np
 
 from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
 from planners.solvers import solve
+
+
+def exclude_size(task: NominalTask, size: GridSize, rho: tuple[float, float], time_limit: float) -> None:
+    """Raise if there is no plan of a size even where nothing is in the way.
+
+    Without the rows that keep bodies away from areas and from each other a model has a point if there is a plan; it has
+    hardly an alternative to branch on. Times, ways and speeds alone exclude most sizes that have no plan.
+
+    Args:
+        task: what is asked.
+        size: of the grid.
+        rho: least and greatest robustness [m].
+        time_limit: of the solution [s].
+
+    Raises:
+        Infeasible: no plan.
+    """
+    free = {"kind": "stay", "faces": np.zeros((0, 2)), "bounds": np.zeros(0), "others": {}}
+    predicates = {
+        predicate: need if need.kind == "stay" else replace(need, **free)  # type: ignore[arg-type]
+        for predicate, need in task.demands.predicates.items()
+    }
+    easy = replace(task, demands=replace(task.demands, predicates=predicates, solids=()))
+    grid, _ = easy.build(size, rho)
+    try:
+        solve(grid.model, time_limit, math.inf, task.solver, work=task.work, nodes=task.easy_nodes)
+    except SolverFailed:  # nothing is proven
+        return
 
 
 def screen_task(task: NominalTask, max_impacts: int, options: PlanOptions) -> None:

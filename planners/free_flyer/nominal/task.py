@@ -32,6 +32,7 @@ class NominalTask:
         frame: whose units the scenario is in.
         waits: least times between events, beyond those of the reserves.
         sharp: whether speeds of several objects are capped by what a word says of their first and last impacts.
+        easy_nodes: of branch and bound, in proofs that leave out what is in the way.
     """
 
     scenario: FreeFlyerScenario
@@ -42,6 +43,7 @@ class NominalTask:
     frame: Frame = field(default_factory=Frame)
     waits: tuple[Wait, ...] = ()
     sharp: bool = False
+    easy_nodes: int = 200
 
     def build(
         self,
@@ -201,6 +203,8 @@ class PlanOptions:
         expected: number of impacts to try first, then one more, then fewer, and none with more; None: count up from the
             fewest.
         screen: whether it is told first, with each of the reserves, where there is no plan, see `screen_task`.
+        many_impacts: from which on it is looked first whether there are as many without anything in the way, see
+            `exclude_size`; the shipped scenarios have fewer.
         halvings: how often the reserves are halved for a task that leaves no room for them.
         turns: factors of the time for starting and stopping, tried when motions prove too quick to be smoothed.
         words: number of sequences of impacts tried at each of these.
@@ -232,6 +236,7 @@ class PlanOptions:
     thrust: float | None = None
     expected: int | None = None
     screen: bool = False
+    many_impacts: int = 3
     halvings: int = 2
     turns: tuple[float, ...] = (1.0, 1.5)
     words: int = 3

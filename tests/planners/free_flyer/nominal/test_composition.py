@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.tasks import draw_task
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import build_scenario
 from planners.budget import Work
@@ -111,3 +112,23 @@ def test_large_is_what_has_more_alternatives_than_the_limit(task: NominalTask) -
     for limit, large in ((1, True), (10_000, False)):
         options = PlanOptions(compose=CompositionOptions(binaries=limit))
         assert is_large(task, {"p": 2, "q": 2}, 1, options) == large
+
+
+@pytest.mark.slow
+def test_an_object_is_hit_while_another_one_flies_straight() -> None:
+    """Two robots have to hit both objects; one object's flight of two minutes leaves no time after it."""
+    _, data = draw_task(1_000_031)
+    scenario = build_scenario(data, source="test")
+    assert isinstance(scenario, FreeFlyerScenario)
+    frame = find_frame(scenario)
+    inside = frame.enter(scenario)
+    task = NominalTask(inside, read_demands(inside, Reserves().wall), Reserves(), work=Work(), frame=frame)
+    found = compose_objects(task, {"o1": 2, "o2": 2}, 9, 2, (0.09, 0.5), lambda: 300.0, PlanOptions())
+    assert found is not None
+    sequence = found.reduce_cost(0.09).sequence
+    struck = [name for _, name in sequence.hitters]
+    assert struck in (["o1", "o2", "o2", "o1"], ["o2", "o1", "o1", "o2"])
+    times, path = sequence.times[1:5], sequence.paths[struck[0]][1:5]
+    for k in (1, 2):
+        on_line = path[0] + (path[3] - path[0]) * (times[k] - times[0]) / (times[3] - times[0])
+        assert np.abs(path[k] - on_line).max() < 0.03  # impact times are rounded to control steps
