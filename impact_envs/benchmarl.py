@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from benchmarl.environments.common import TaskClass
+try:
+    from benchmarl.environments.common import TaskClass
+except ImportError as error:  # it is missing, or does not import with this TorchRL, as 1.5.2 with 0.14
+    raise ImportError(f"BenchMARL is missing or does not fit the TorchRL installed here: {error}") from error
 from torchrl.data import Composite
 from torchrl.envs import EnvBase
 

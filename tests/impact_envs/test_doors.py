@@ -1,6 +1,8 @@
 """Handles that libraries look for: PettingZoo's registry, lengths, tasks in words, success at every step."""
 
 import re
+import sys
+from importlib import import_module
 from pathlib import Path
 
 import gymnasium
@@ -111,3 +113,10 @@ def test_the_page_does_what_it_says(library, capsys):
     text = PAGE.read_text()
     exec(compile(re.search(rf"```python {library}\n(.*?)```", text, re.S)[1], str(PAGE), "exec"), {})
     assert {"torchrl": "torch.Size([64, 20, 2, 25])", "ray": "200"}[library] in capsys.readouterr().out
+
+
+def test_a_benchmarl_that_cannot_be_imported_is_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "benchmarl.environments.common", None)
+    monkeypatch.delitem(sys.modules, "impact_envs.benchmarl", raising=False)
+    with pytest.raises(ImportError, match="BenchMARL is missing or does not fit the TorchRL"):
+        import_module("impact_envs.benchmarl")

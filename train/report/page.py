@@ -228,7 +228,7 @@ def _write_heading(evaluation: Evaluation, looks: dict[str, Look]) -> dict[str, 
     last = manifest.seed + manifest.episodes - 1
     facts = {
         "Episodes": f"{sum(row.episodes for row in rows)}",
-        "Seeds, the same for every policy": f"{manifest.seed} – {last}",
+        "Seeds, the same for every policy": f"{manifest.seed} – {last}" if manifest.episodes > 1 else str(last),
         "Suites": ", ".join(suites),
         "Policies": ", ".join(look.name for look in looks.values()),
         **({"Changed": ", ".join(f"{key} = {value}" for key, value in manifest.set.items())} if manifest.set else {}),
