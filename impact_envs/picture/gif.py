@@ -30,9 +30,7 @@ class Gif:
         self._shown: np.ndarray | None = None  # colours of the last one, shape (height, width)
         self._waiting: tuple[Any, tuple[int, int], int] | None = None  # image, its corner, and the frame it begins at
         self._first, self._table = b"", b""  # of the file and of the present frame: red, green, blue of each index
-        self._index: np.ndarray = np.zeros(
-            0, np.uint16
-        )  # colour to its place in the present table, with OFF if that misses it
+        self._index: np.ndarray = np.zeros(0, np.uint16)  # colour to its place in the table, or OFF
 
     def append_data(self, picture: np.ndarray) -> None:
         """Append a frame.
