@@ -30,7 +30,7 @@ class Gif:
         self._shown: np.ndarray | None = None  # colours of the last one, shape (height, width)
         self._waiting: tuple[Any, tuple[int, int], int] | None = None  # image, its corner, and the frame it begins at
         self._first, self._table = b"", b""  # of the file and of the present frame: red, green, blue of each index
-        self._index = np.zeros(0, np.uint16)  # colour to its place in the present table, with OFF if that misses it
+        self._index: np.ndarray = np.zeros(0, np.uint16)  # colour to its place in the table, or OFF
 
     def append_data(self, picture: np.ndarray) -> None:
         """Append a frame.
@@ -47,7 +47,7 @@ class Gif:
         rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
         if len(rows):  # otherwise the last frame is shown for longer
             self._flush()
-            place = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+            place = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
             image = self._reduce(picture, colors[place], changed[place])
             self._waiting = image, (int(columns[0]), int(rows[0])), self._count
         self._shown = colors
