@@ -136,7 +136,9 @@ def make_row(args: Args, scenario: str, suite: str) -> tuple[list[str], Path]:
     for per_impact in (False, True)[: 1 + numbered]:
         out = folder / ("constant_per_impact" if per_impact else "constant")
         if not (out / DESCRIPTION).exists():
-            tune.main(TuneArgs((scenario,), (suite,), per_impact=per_impact, out=out, threads=args.threads))
+            tune.main(
+                TuneArgs((scenario,), (suite,), per_impact=per_impact, out=out, threads=args.threads, report_episodes=0)
+            )
         policies.append(str(out))
     for variant in [None, *(published if args.on_published else [])]:
         for seed in range(args.runs):
@@ -172,7 +174,8 @@ def train(args: Args, training: TrainingArgs, times: int = 1) -> None:
     if done.exists():
         return
     resume, steps = residual.last_checkpoint(training.out) is not None, args.steps or training.steps
-    write_json(done, residual.main(replace(training, resume=resume, threads=args.threads, steps=times * steps)))
+    run = replace(training, resume=resume, threads=args.threads, steps=times * steps, report_episodes=0)
+    write_json(done, residual.main(run))
 
 
 def judge(args: Args, policies: Sequence[str], scenario: str, suites: Sequence[str], name: str) -> list[dict[str, Any]]:
