@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 
 import impact_envs
-from impact_envs import command, extras
+from impact_envs import command
+from impact_envs.interface import extras
 from train.cli.main import COMMANDS, main
 
 ROOT = Path(__file__).parents[1]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 DISTRIBUTION = "impact-envs"
 # Beside the packages where they run from their source; the metadata of such an install are as old as the install.
-SOURCE = Path(__file__).parents[1] / "pyproject.toml"
+SOURCE = Path(__file__).parents[2] / "pyproject.toml"
 NO_CHOICE = ("all", "dev")  # extras that are made of others
 PACKAGES = {"PIL": "pillow"}  # modules of another name than their package's
 

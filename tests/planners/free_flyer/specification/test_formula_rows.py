@@ -284,7 +284,7 @@ FORMS = [
 def test_plans_of_every_form_keep_their_robustness(formula: str) -> None:
     scenario = _scenario(formula)
     plan = make_free_flyer_plan(scenario)
-    times = np.arange(round(scenario.horizon / PERIOD) + 1) * PERIOD
+    times = np.arange(scenario.steps + 1) * scenario.control_period
     positions = {name: curve.position(times) for name, curve in (plan.robots | plan.objects).items()}
     assert plan.robustness > 0.1
     assert compute_robustness(scenario, times, positions) == pytest.approx(plan.robustness, abs=1e-3)
