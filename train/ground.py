@@ -21,8 +21,6 @@ from train.evaluation.paired import Gain, compute_gain, summarise_pairs
 from train.settings import parse_settings
 
 DEFAULT_SUITE = "hard"
-
-
 LEAST_LOSS = 0.01  # of success: a policy that loses more than this on the tuning seeds is not kept
 
 
