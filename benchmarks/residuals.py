@@ -82,6 +82,10 @@ def main(args: Args) -> None:
     """
     for name, value in (("runs", args.runs), ("episodes", args.episodes), ("threads", args.threads)):
         check_count(name, value)
+    if args.steps is not None:
+        check_count("steps", args.steps)
+    if args.generalists < 0:
+        raise InputError(f"generalists = {args.generalists}: choices: 0, 1, 2, ...")
     rows = [split_row(row) for row in args.rows]
     check_names("row", args.rows)
     for scenario, suite in rows:
@@ -92,13 +96,13 @@ def main(args: Args) -> None:
         start = time.perf_counter()
         policies, found = make_row(args, scenario, suite)
         policies += shared if load_scenario(scenario).domain == SHARED_DOMAIN else []
-        comparison = judge(args, policies, scenario, [suite], "evaluation")
+        comparison = judge(args, policies, scenario, [suite], found / "evaluation")
         write_json(found / "comparison.json", comparison)
         seconds = time.perf_counter() - start
         print_table(f"{scenario}, {suite} ({seconds:.0f} s)", [format_row(row) for row in comparison])
         if args.suites:
             first = ["expert", str(found / "residual" / "seed0")]
-            comparison = judge(args, first, scenario, args.suites, "elsewhere")
+            comparison = judge(args, first, scenario, args.suites, found / "elsewhere")
             print_table("the first training seed elsewhere", [format_row(row) for row in comparison])
 
 
@@ -178,9 +182,8 @@ def train(args: Args, training: TrainingArgs, times: int = 1) -> None:
     write_json(done, residual.main(run))
 
 
-def judge(args: Args, policies: Sequence[str], scenario: str, suites: Sequence[str], name: str) -> list[dict[str, Any]]:
-    """Play the evaluation seeds and compare; see `compare_groups`."""
-    out = args.out / f"{Path(scenario).stem}_{'_'.join(suites)}" / name
+def judge(args: Args, policies: Sequence[str], scenario: str, suites: Sequence[str], out: Path) -> list[dict[str, Any]]:
+    """Play the evaluation seeds, write the episodes and compare; see `compare_groups`."""
     cases = make_cases([scenario], list(suites))
     result = evaluate_cases(cases, policies, args.episodes, EVALUATION_SEEDS, args.threads, out, batched=True)
     episodes: pd.DataFrame = result.episodes

@@ -1,29 +1,13 @@
 """A suite is taken apart part by part, and the oracle is played beside the expert; a table of few episodes."""
 
 import json
-import sys
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
 
 from impact_envs import InputError, load_scenario
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 PLANS = Path(__file__).resolve().parents[1] / "frozen" / "plans"
-
-
-@pytest.fixture
-def load_benchmark(monkeypatch):
-    def load(name):
-        monkeypatch.syspath_prepend(str(FOLDER))
-        spec = spec_from_file_location(f"{name}_benchmark", FOLDER / f"{name}.py")
-        benchmark = module_from_spec(spec)
-        sys.modules[spec.name] = benchmark  # dataclasses look their module up
-        spec.loader.exec_module(benchmark)
-        return benchmark
-
-    return load
 
 
 def test_every_part_is_left_out_once(load_benchmark):

@@ -1,7 +1,6 @@
 import json
 import sys
-from collections.abc import Iterator
-from importlib.util import module_from_spec, spec_from_file_location
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -12,21 +11,12 @@ import pytest
 from impact_envs import load_scenario
 from tests.frozen.freeze import get_plan
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 LOOPS = ["batch, LQR", "batch, MPC", "one world, MPC", "one world, published MPC by ipopt"]
 
 
 @pytest.fixture(scope="module")
-def benchmark() -> Iterator[ModuleType]:
-    sys.path.insert(0, str(FOLDER))
-    spec = spec_from_file_location("expert_benchmark", FOLDER / "expert_in_loop.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    yield module
-    sys.path.remove(str(FOLDER))
+def benchmark(load_benchmark: Callable[[str], ModuleType]) -> ModuleType:
+    return load_benchmark("expert_in_loop")
 
 
 @pytest.fixture

@@ -1,27 +1,15 @@
 """Every kind of wrong readings leaves the experts' success as it is; a table of few episodes."""
 
 import json
-import sys
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "outliers.py"
 # What one period's impact at the speed limits explains is believed at first.
 POSSIBLE = "0.1 m off, 2 periods"
 
 
-def load_benchmark():
-    spec = spec_from_file_location("outliers_benchmark", SCRIPT)
-    benchmark = module_from_spec(spec)
-    sys.modules[spec.name] = benchmark  # dataclasses look their module up
-    spec.loader.exec_module(benchmark)
-    return benchmark
-
-
-def test_a_kind_is_played_and_written(tmp_path, capsys):
-    benchmark, out = load_benchmark(), tmp_path / "outliers.json"
+def test_a_kind_is_played_and_written(load_benchmark, tmp_path, capsys):
+    benchmark, out = load_benchmark("outliers"), tmp_path / "outliers.json"
     kinds = ("right", "bodies swapped, 10 periods")
     rows = benchmark.main(benchmark.Args(scenarios=("throw_and_catch:all",), seeds=2, kinds=kinds, out=out))
     assert json.loads(out.read_text()) == rows
@@ -35,8 +23,8 @@ def test_a_kind_is_played_and_written(tmp_path, capsys):
 @pytest.mark.parametrize(
     "scenario", ["corridor:all", "floating_manipulator_thrusters:nominal", "dual_arm_grasp:nominal"]
 )
-def test_success_is_as_with_right_readings(scenario):
-    benchmark = load_benchmark()
+def test_success_is_as_with_right_readings(load_benchmark, scenario):
+    benchmark = load_benchmark("outliers")
     right, *wrong = benchmark.main(benchmark.Args(scenarios=(scenario,), seeds=10, few=2))
     assert "rejected" not in right["counted"]
     for row in wrong:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from importlib.util import module_from_spec, spec_from_file_location
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,20 +11,10 @@ import pytest
 
 from impact_envs.errors import InputError
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
-
 
 @pytest.fixture(scope="module")
-def benchmark() -> Iterator[ModuleType]:
-    sys.path.insert(0, str(FOLDER))
-    spec = spec_from_file_location("residuals_benchmark", FOLDER / "residuals.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    yield module
-    sys.path.remove(str(FOLDER))
+def benchmark(load_benchmark: Callable[[str], ModuleType]) -> ModuleType:
+    return load_benchmark("residuals")
 
 
 @pytest.mark.parametrize(
@@ -43,6 +31,14 @@ def test_a_bad_row_is_one_line_before_anything_is_written(
 ) -> None:
     with pytest.raises(InputError, match=line):
         benchmark.main(benchmark.Args(rows=rows, out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("wrong", [{"runs": 0}, {"steps": 0}, {"generalists": -1}, {"episodes": 0}, {"threads": 0}])
+def test_a_bad_count_is_one_line(benchmark: ModuleType, wrong: dict[str, int], tmp_path: Path) -> None:
+    ((name, value),) = wrong.items()
+    with pytest.raises(InputError, match=f"{name} = {value}"):
+        benchmark.main(benchmark.Args(rows=("pong:hard",), out=tmp_path / "out", **wrong))
     assert not (tmp_path / "out").exists()
 
 
