@@ -186,15 +186,16 @@ def _refuse_infinity() -> Iterator[None]:
         raise FloatingPointError("predictions are not finite") from error
 
 
-def export_actor(model: PPO, statistics: Statistics) -> Actor:
+def export_actor(model: PPO, statistics: Statistics, share: float = 1.0) -> Actor:
     """Copy the deterministic policy out of a model, without exploration.
 
     Args:
         model: from `make_model`.
         statistics: by which its features are normalised.
+        share: of its mean correction, the expert at 0.
 
     Returns:
-        An actor whose correction equals ``model.predict(normalized features, deterministic=True)``.
+        An actor whose correction equals ``share * model.predict(normalized features, deterministic=True)``.
     """
     modules = (*model.policy.mlp_extractor.policy_net, model.policy.action_net)
     layers = [layer for layer in modules if isinstance(layer, nn.Linear)]
@@ -202,6 +203,9 @@ def export_actor(model: PPO, statistics: Statistics) -> Actor:
     actor = Actor(layers[0].in_features, layers[-1].out_features, hidden, FEATURE_CLIP)
     for mine, theirs in zip(actor.layers, layers, strict=True):
         mine.load_state_dict(theirs.state_dict())
+    with torch.no_grad():
+        for parameter in actor.layers[-1].parameters():
+            parameter.mul_(share)
     actor.mean.copy_(torch.from_numpy(statistics.mean))
     actor.std.copy_(torch.from_numpy(statistics.std))
     return actor

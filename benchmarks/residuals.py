@@ -8,7 +8,6 @@ nothing else.
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from collections.abc import Sequence
@@ -162,12 +161,10 @@ def make_generalists(args: Args, rows: Sequence[tuple[str, str]]) -> list[str]:
     """Train the policies for all rows of free-flyers, and return their names; three times as long as one for a row."""
     shared = [row for row in rows if load_scenario(row[0]).domain == SHARED_DOMAIN]
     scenarios, suites = (tuple(dict.fromkeys(part)) for part in zip(*shared, strict=True))
-    share = len(scenarios) * len(suites) * TrainingArgs.group
     names = []
     for seed in range(args.generalists):
         out = args.out / "generalist" / f"seed{seed}"
-        worlds = share * math.ceil(TrainingArgs.worlds / share)
-        train(args, TrainingArgs(scenarios, suites, seed=seed, out=out, worlds=worlds, eval_episodes=100), 3)
+        train(args, TrainingArgs(scenarios, suites, seed=seed, out=out, eval_episodes=100), 3)
         names.append(str(out))
     return names
 

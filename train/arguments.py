@@ -31,8 +31,8 @@ class Args:
     """Values to change, for example true.restitution=0.5 expert.NAME=VALUE."""
     plan_anew: bool = False
     """Let free-flyers' experts plan anew in the background while they train: slower, and hardly another policy."""
-    worlds: int = 512
-    """Episodes of an iteration, over all scenarios and suites."""
+    worlds: int | None = None
+    """Episodes of an iteration, over all scenarios and suites; without: 512 of free-flyers, 128 of the others."""
     group: int = 8
     """Episodes of an iteration that share a seed, and are compared with each other."""
     threads: int | None = None
@@ -58,10 +58,11 @@ class Args:
     cut: float = 1.0
     """Two episodes of a seed differ by no more than so many times the expert's median robustness."""
     failure: float = 0.5
-    """Cost of a failure beside its robustness, times the expert's median robustness."""
+    """Least cost of a failure beside its robustness, times the expert's median robustness; it rises while success is
+    lost on the tuning seeds."""
     eval_every: int = 5
     """Iterations between two evaluations on tuning seeds; 0: never, and the last policy is kept."""
-    eval_episodes: int = 200
+    eval_episodes: int = 400
     """Tuning seeds per evaluation, of each scenario and suite."""
     report_episodes: int = 200
     """Seeds for the report on the kept policy, neither learned from nor chosen on; 0: none."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from agents.actor import Actor
 from agents.play import Played, play_episodes
 from agents.residual_vector import ResidualVectorEnv
 from agents.source import Source, make_source
+from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from planners import check_options, has_planner, list_options, make_plan
 from train.arguments import Args
@@ -21,7 +22,7 @@ from train.evaluation.paired import Gain, compute_gain, summarise_pairs
 from train.settings import parse_settings
 
 DEFAULT_SUITE = "hard"
-LEAST_LOSS = 0.01  # of success: a policy that loses more than this on the tuning seeds is not kept
+LEAST_LOSS = 0.0075  # of success: a policy that loses more than this on the tuning seeds is not kept
 
 
 @dataclass
@@ -59,6 +60,21 @@ def read_cases(args: Args) -> list[Case]:
     return cases
 
 
+def fill_worlds(args: Args, cases: Sequence[Case]) -> Args:
+    """Return arguments with the number of worlds that suits the domain where none is given.
+
+    The less often an episode asks for a correction, the more of them an update needs.
+
+    Args:
+        args: arguments of the run.
+        cases: scenarios in their suites.
+    """
+    if args.worlds is not None:
+        return args
+    share, usual = len(cases) * args.group, find_part("agents", cases[0].scenario.domain, "ITERATION_EPISODES")
+    return replace(args, worlds=share * math.ceil(usual / share))
+
+
 def make_grounds(args: Args, cases: Sequence[Case]) -> list[Ground]:
     """Make the worlds of every scenario and suite.
 
@@ -70,6 +86,7 @@ def make_grounds(args: Args, cases: Sequence[Case]) -> list[Ground]:
         InputError: scenarios of different experts.
         PlanningError: an expert found no plan.
     """
+    assert args.worlds is not None
     count, grounds, plans = args.worlds // len(cases), list[Ground](), dict[str, Any]()
     for case in cases:
         scenario, options = case.scenario, dict(case.options)
@@ -125,5 +142,9 @@ def compute_scores(robustness: np.ndarray, scale: float, worst: float) -> np.nda
 
 def rate_evaluation(evaluation: dict[str, Any]) -> float:
     """Return what evaluations are ordered by: the gain that is sure, of those that lose hardly any success [m]."""
-    loses = evaluation["success_rate"] < evaluation["expert_success_rate"] - LEAST_LOSS
-    return -math.inf if loses else evaluation["low"]
+    return -math.inf if loses_success(evaluation) else evaluation["low"]
+
+
+def loses_success(evaluation: dict[str, Any]) -> bool:
+    """Return whether a policy succeeds noticeably less often than the expert."""
+    return bool(evaluation["success_rate"] < evaluation["expert_success_rate"] - LEAST_LOSS)

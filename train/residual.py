@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import shutil
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -46,13 +47,26 @@ from train.errors import Diverged
 from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
-from train.ground import DEFAULT_SUITE, Ground, compute_scores, judge, make_grounds, rate_evaluation, read_cases
+from train.ground import (
+    DEFAULT_SUITE,
+    Ground,
+    compute_scores,
+    fill_worlds,
+    judge,
+    loses_success,
+    make_grounds,
+    rate_evaluation,
+    read_cases,
+)
 from train.limits import check_hidden, check_least, check_ranges, check_same
 from train.settings import list_settings
 from train.watch import Watch, run_script, show_progress
 
 # Arguments that decide what a checkpoint means; a resumed run must have the same.
 FIXED = ("scenarios", "suite", "seed", "variant", "set", "worlds", "group", "hidden", "worst", "cut", "failure")
+RISE, FALL = 4.0, 0.5  # of the cost of a failure, after an evaluation that lost success, or did not
+HIGHEST = 8.0  # cost of a failure: beyond, robustness counts for nothing
+SHARES = (1.0, 0.5, 0.25)  # of its correction with which a policy is evaluated, until it loses no success
 
 
 def main(args: Args) -> dict[str, Any]:
@@ -73,8 +87,9 @@ def main(args: Args) -> dict[str, Any]:
         Diverged: the weights are no longer finite; the last checkpoint stays.
     """
     start = time.perf_counter()
-    check_args(args)
     cases = read_cases(args)
+    args = fill_worlds(args, cases)
+    check_args(args)
     torch.set_num_threads(1)
     with lock_folder(args.out):
         check_run(args)
@@ -116,7 +131,7 @@ def check_args(args: Args) -> None:
         raise InputError(f"eval_episodes {args.eval_episodes}: there are {REPORT_SEEDS - TUNING_SEEDS} tuning seeds")
     check_hidden(args.hidden)
     share = len(args.scenarios) * len(args.suite or (DEFAULT_SUITE,)) * args.group
-    if share == 0 or args.worlds % share:
+    if args.worlds is None or args.worlds % share:
         raise InputError(
             f"worlds {args.worlds} is not a multiple of group {args.group} in each of {share // args.group} "
             "scenarios and suites"
@@ -153,7 +168,7 @@ def check_evaluations(checkpoint: Path, evaluations: list[dict[str, Any]]) -> No
         InputError: one lacks a number, or has none there.
     """
     for place, evaluation in enumerate(evaluations):
-        for name in ("iterations", "low", "success_rate", "expert_success_rate"):
+        for name in ("iterations", "share", "low", "success_rate", "expert_success_rate"):
             if type(evaluation.get(name)) not in (int, float):
                 where = f"{checkpoint}: key 'evaluations.{place}'"
                 raise InputError(f"{where}: {name} = {evaluation.get(name)!r:.60}: a number is needed")
@@ -252,13 +267,13 @@ class Run:
     def _learn(self) -> None:
         """Play an iteration's episodes and learn from them."""
         start, args = time.perf_counter(), self._args
-        draw = self._seed()
+        draw, failure = self._seed(), find_failure_cost(args.failure, self.evaluations)
         scores, rows = [], []
         for ground in self._grounds:
             count = ground.worlds.num_envs
             seeds = np.repeat(draw.integers(TRAINING_SEEDS, size=count // args.group), args.group)
             played = play_episodes(ground.worlds, seeds, self._explore)
-            advantages = compare_episodes(args, played, ground.scale)
+            advantages = compare_episodes(args, played, ground.scale, failure)
             scores.append(played)
             rows.append((self.statistics.normalize(played.features), played.corrections, advantages[played.episode]))
         features, corrections, advantages = (np.concatenate(part) for part in zip(*rows, strict=True))
@@ -268,6 +283,7 @@ class Run:
         record = self.model.logger.record
         record("episode/success", float(np.mean(np.concatenate([played.success for played in scores]))))
         record("episode/robustness", float(np.median(np.concatenate([played.robustness for played in scores]))))
+        record("episode/failure_cost", failure)
         record("correction/filtered", float(np.mean([played.filtered for played in scores])))
         record("time/corrections_per_second", len(corrections) / seconds)
 
@@ -302,16 +318,20 @@ class Run:
         return explore(self.model, self.statistics.normalize(features))
 
     def _evaluate(self, watch: Watch) -> None:
-        """Play the tuning seeds, and keep the policy if it surely gains most so far."""
-        actor = export_actor(self.model, self.statistics)
-        found = self._judge(actor, TUNING_SEEDS, self._args.eval_episodes)
-        evaluation = {"iterations": self.iterations, "steps": self.model.num_timesteps, **found}
-        self.evaluations.append(evaluation)
-        if self.best is evaluation:
-            self._save_policy(self._args.out, actor)
-        for name in ("success_rate", "expert_success_rate", "gain", "low", "correction"):
-            self.model.logger.record(f"tuning/{name}", evaluation[name])
-        watch.say(describe_evaluation(evaluation))
+        """Play the tuning seeds, and keep the policy, or a share of it, if it surely gains most so far."""
+        for share in SHARES:
+            actor = export_actor(self.model, self.statistics, share)
+            found = self._judge(actor, TUNING_SEEDS, self._args.eval_episodes)
+            evaluation = {"iterations": self.iterations, "steps": self.model.num_timesteps, "share": share, **found}
+            self.evaluations.append(evaluation)
+            if self.best is evaluation:
+                self._save_policy(self._args.out, actor)
+            if share == 1.0:
+                for name in ("success_rate", "expert_success_rate", "gain", "low", "correction"):
+                    self.model.logger.record(f"tuning/{name}", evaluation[name])
+            watch.say(describe_evaluation(evaluation))
+            if not loses_success(evaluation):
+                return
 
     def _judge(self, actor: Actor, first: int, episodes: int) -> dict[str, Any]:
         return judge(self._grounds, actor, first, episodes, self._args.worst)
@@ -357,22 +377,41 @@ class Run:
         save_policy(folder, actor, record)
 
 
-def compare_episodes(args: Args, played: Played, scale: float) -> np.ndarray:
+def compare_episodes(args: Args, played: Played, scale: float, failure: float) -> np.ndarray:
     """Return how much better each episode was than the others with its seed, in robustness and success, shape (E,).
 
     Args:
         args: of the run: how episodes are weighed.
         played: E episodes, those of one seed in a row.
         scale: unit of robustness [m].
+        failure: cost of a failure beside its robustness, times the scale.
     """
     better = compute_advantages(compute_scores(played.robustness, scale, args.worst), args.group, args.cut)
-    return better + args.failure * compute_advantages(played.success.astype(float), args.group)
+    return better + failure * compute_advantages(played.success.astype(float), args.group)
+
+
+def find_failure_cost(start: float, evaluations: Sequence[dict[str, Any]]) -> float:
+    """Return what a failure costs beside its robustness, after some evaluations.
+
+    Greater after each evaluation that lost success, smaller after one that did not: gains are not bought with failures.
+
+    Args:
+        start: the least cost, times the expert's median robustness.
+        evaluations: on tuning seeds, so far.
+    """
+    cost = start
+    for evaluation in evaluations:
+        if evaluation["share"] == 1.0:
+            lost = evaluation["success_rate"] < evaluation["expert_success_rate"]
+            cost = min(RISE * cost, max(start, HIGHEST)) if lost else max(start, FALL * cost)
+    return cost
 
 
 def describe_evaluation(evaluation: dict[str, Any]) -> str:
     """Return an evaluation as a line for people."""
+    share = "" if evaluation["share"] == 1.0 else f", {evaluation['share']:g} of each"
     return (
-        f"{evaluation['steps']:>7,} corrections: success {100 * evaluation['success_rate']:.1f} % "
+        f"{evaluation['steps']:>7,} corrections{share}: success {100 * evaluation['success_rate']:.1f} % "
         f"(expert {100 * evaluation['expert_success_rate']:.1f} %), gain {evaluation['gain']:+.4f} m "
         f"(surely {evaluation['low']:+.4f})"
     )

@@ -1,3 +1,4 @@
 """Two arms and a box: from decision to decision of many worlds in one compiled call."""
 
 LOOP = "agents.dual_arm.decision_loop:DualArmLoop"
+ITERATION_EPISODES = 128  # that a policy is improved from

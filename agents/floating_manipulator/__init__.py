@@ -1,3 +1,4 @@
 """Floating manipulators: from decision to decision of many worlds in one compiled call."""
 
 LOOP = "agents.floating_manipulator.decision_loop:FloatingManipulatorLoop"
+ITERATION_EPISODES = 128  # that a policy is improved from

@@ -30,9 +30,9 @@ from train.errors import Diverged
 from train.evaluation.case import EVALUATION_SEEDS, REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.paired import QUANTILE, Gain, compute_gain, compute_interquartile_mean, summarise_pairs
 from train.ground import LEAST_LOSS, compute_scores, rate_evaluation
-from train.residual import Args, check_evaluations, compare_episodes, main
+from train.residual import Args, check_evaluations, compare_episodes, find_failure_cost, main
 
-SCORED = {"iterations": 0, "low": 0.0, "success_rate": 1.0, "expert_success_rate": 1.0}
+SCORED = {"iterations": 0, "share": 1.0, "low": 0.0, "success_rate": 1.0, "expert_success_rate": 1.0}
 STEPS = 96  # three iterations and a bit: an episode of throw_and_catch asks for two corrections
 
 
@@ -513,6 +513,26 @@ def test_of_equal_robustness_the_failed_episode_is_worse_by_the_cost_of_a_failur
     success = np.array([True, True, True, False, True, True, True, True])
     none = np.zeros((0, 1))
     played = Played(np.full(8, 0.2), success, none, none, np.zeros(0, int), 0.0)
-    found = compare_episodes(Args(group=4, failure=3.0), played, 0.2)
+    found = compare_episodes(Args(group=4), played, 0.2, 3.0)
     np.testing.assert_allclose(found, [1.0, 1.0, 1.0, -3.0, 0.0, 0.0, 0.0, 0.0])
-    assert not compare_episodes(Args(group=4, failure=0.0), played, 0.2).any()
+    assert not compare_episodes(Args(group=4), played, 0.2, 0.0).any()
+
+
+def test_a_failure_costs_more_while_success_is_lost_and_less_after_it() -> None:
+    lost, kept = {**SCORED, "success_rate": 0.996}, SCORED
+    assert find_failure_cost(0.5, []) == 0.5
+    assert find_failure_cost(0.5, [kept, lost]) == 2.0
+    assert find_failure_cost(0.5, [kept, lost, lost, lost, lost]) == residual.HIGHEST
+    assert find_failure_cost(0.5, [kept, lost, lost, kept]) == residual.HIGHEST / 2
+    assert find_failure_cost(0.5, [kept, kept, kept]) == 0.5
+    assert find_failure_cost(0.5, [lost, {**kept, "share": 0.5}]) == 2.0  # a share of a policy says nothing of it
+    assert find_failure_cost(20.0, [kept, lost, kept]) == 20.0
+
+
+@pytest.mark.parametrize(("scenario", "episodes"), [("pong", 512), ("dual_arm_grasp", 128)])
+def test_an_iteration_has_the_episodes_of_its_domain_unless_told_otherwise(scenario: str, episodes: int) -> None:
+    args = Args(scenarios=(scenario,), suite=("hard", "all", "nominal"), group=8)
+    shared = ground.fill_worlds(args, ground.read_cases(args)).worlds
+    assert shared == 24 * -(-episodes // 24)  # the next multiple of what three suites share
+    told = dataclasses.replace(args, worlds=48)
+    assert ground.fill_worlds(told, ground.read_cases(told)).worlds == 48

@@ -49,7 +49,8 @@ def _read_evaluations(folder: Path) -> list[dict[str, Any]]:
     for path in sorted(folder.glob(RECORDS)):
         try:
             points = json.loads(path.read_text(encoding="utf-8")).get("evaluations", [])
-            kept = [{key: float(point[key]) for key in ("steps", "gain", "low")} for point in points]
+            whole = [point for point in points if point.get("share", 1.0) == 1.0]
+            kept = [{key: float(point[key]) for key in ("steps", "gain", "low")} for point in whole]
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             continue  # a run's own files are its own business; the page says where there is no curve
         found = kept if len(kept) > len(found) else found
