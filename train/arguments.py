@@ -60,8 +60,9 @@ class Args:
     failure: float = 0.5
     """Least cost of a failure beside its robustness, times the expert's median robustness; it rises while success is
     lost on the tuning seeds."""
-    eval_every: int = 5
-    """Iterations between two evaluations on tuning seeds; 0: never, and the last policy is kept."""
+    eval_every: int | None = None
+    """Iterations between two evaluations on tuning seeds; without: as many as play 2,560 episodes; 0: never, and the
+    last policy is kept."""
     eval_episodes: int = 400
     """Tuning seeds per evaluation, of each scenario and suite."""
     report_episodes: int = 200

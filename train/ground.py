@@ -22,6 +22,7 @@ from train.evaluation.paired import Gain, compute_gain, summarise_pairs
 from train.settings import parse_settings
 
 DEFAULT_SUITE = "hard"
+EVALUATION_EPISODES = 2560  # between two evaluations
 LEAST_LOSS = 0.0075  # of success: a policy that loses more than this on the tuning seeds is not kept
 
 
@@ -60,8 +61,8 @@ def read_cases(args: Args) -> list[Case]:
     return cases
 
 
-def fill_worlds(args: Args, cases: Sequence[Case]) -> Args:
-    """Return arguments with the number of worlds that suits the domain where none is given.
+def fill_args(args: Args, cases: Sequence[Case]) -> Args:
+    """Return arguments with the numbers that suit the domain where none is given: worlds, and how often to evaluate.
 
     The less often an episode asks for a correction, the more of them an update needs.
 
@@ -69,10 +70,13 @@ def fill_worlds(args: Args, cases: Sequence[Case]) -> Args:
         args: arguments of the run.
         cases: scenarios in their suites.
     """
-    if args.worlds is not None:
-        return args
-    share, usual = len(cases) * args.group, find_part("agents", cases[0].scenario.domain, "ITERATION_EPISODES")
-    return replace(args, worlds=share * math.ceil(usual / share))
+    worlds, every = args.worlds, args.eval_every
+    if worlds is None:
+        share, usual = len(cases) * args.group, find_part("agents", cases[0].scenario.domain, "ITERATION_EPISODES")
+        worlds = share * math.ceil(usual / share)
+    if every is None:
+        every = math.ceil(EVALUATION_EPISODES / max(worlds, 1))
+    return replace(args, worlds=worlds, eval_every=every)
 
 
 def make_grounds(args: Args, cases: Sequence[Case]) -> list[Ground]:

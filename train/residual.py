@@ -51,7 +51,7 @@ from train.ground import (
     DEFAULT_SUITE,
     Ground,
     compute_scores,
-    fill_worlds,
+    fill_args,
     judge,
     loses_success,
     make_grounds,
@@ -88,7 +88,7 @@ def main(args: Args) -> dict[str, Any]:
     """
     start = time.perf_counter()
     cases = read_cases(args)
-    args = fill_worlds(args, cases)
+    args = fill_args(args, cases)
     check_args(args)
     torch.set_num_threads(1)
     with lock_folder(args.out):

@@ -532,7 +532,8 @@ def test_a_failure_costs_more_while_success_is_lost_and_less_after_it() -> None:
 @pytest.mark.parametrize(("scenario", "episodes"), [("pong", 512), ("dual_arm_grasp", 128)])
 def test_an_iteration_has_the_episodes_of_its_domain_unless_told_otherwise(scenario: str, episodes: int) -> None:
     args = Args(scenarios=(scenario,), suite=("hard", "all", "nominal"), group=8)
-    shared = ground.fill_worlds(args, ground.read_cases(args)).worlds
-    assert shared == 24 * -(-episodes // 24)  # the next multiple of what three suites share
-    told = dataclasses.replace(args, worlds=48)
-    assert ground.fill_worlds(told, ground.read_cases(told)).worlds == 48
+    filled = ground.fill_args(args, ground.read_cases(args))
+    assert filled.worlds == 24 * -(-episodes // 24)  # the next multiple of what three suites share
+    assert filled.eval_every == -(-2560 // filled.worlds)
+    told = dataclasses.replace(args, worlds=48, eval_every=0)
+    assert ground.fill_args(told, ground.read_cases(told)) == told
