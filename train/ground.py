@@ -23,6 +23,7 @@ from train.settings import parse_settings
 
 DEFAULT_SUITE = "hard"
 EVALUATION_EPISODES = 2560  # between two evaluations
+SHARES = (1.0, 0.5, 0.25)  # of its corrections with which a policy is tried, until it loses no success
 LEAST_LOSS = 0.0075  # of success: a policy that loses more than this on the tuning seeds is not kept
 
 

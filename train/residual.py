@@ -49,6 +49,7 @@ from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
 from train.ground import (
     DEFAULT_SUITE,
+    SHARES,
     Ground,
     compute_scores,
     fill_args,
@@ -66,7 +67,6 @@ from train.watch import Watch, run_script, show_progress
 FIXED = ("scenarios", "suite", "seed", "variant", "set", "worlds", "group", "hidden", "worst", "cut", "failure")
 RISE, FALL = 4.0, 0.5  # of the cost of a failure, after an evaluation that lost success, or did not
 HIGHEST = 8.0  # cost of a failure: beyond, robustness counts for nothing
-SHARES = (1.0, 0.5, 0.25)  # of its correction with which a policy is evaluated, until it loses no success
 
 
 def main(args: Args) -> dict[str, Any]:

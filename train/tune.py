@@ -30,7 +30,17 @@ from train.arguments import Args, TuneArgs
 from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions
-from train.ground import DEFAULT_SUITE, Ground, compute_scores, judge, make_grounds, rate_evaluation, read_cases
+from train.ground import (
+    DEFAULT_SUITE,
+    SHARES,
+    Ground,
+    compute_scores,
+    judge,
+    loses_success,
+    make_grounds,
+    rate_evaluation,
+    read_cases,
+)
 from train.limits import check_least, check_ranges
 from train.settings import list_settings
 from train.watch import Watch, run_script, show_progress
@@ -221,7 +231,7 @@ def choose_best(
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Return whichever of zero and the last means surely gains most on seeds that the search has not seen; see judge.
 
-    The rule is that of trained policies: whoever loses success is not kept.
+    The rule is that of trained policies: whoever loses success is not kept, but a share of it may be.
 
     Args:
         args: of the run.
@@ -230,18 +240,23 @@ def choose_best(
         numbers: of impacts.
         watch: told of every finalist.
     """
-    finalists = [np.zeros_like(means[0]), *means[-args.finalists :]]
-    found = list[dict[str, Any]]()
-    for place, constants in enumerate(finalists):
-        actor = make_actor(grounds[0], constants, numbers)
-        found.append(judge(grounds, actor, FINAL_SEEDS, args.final_episodes, args.worst))
+    tried, found = list[np.ndarray](), list[dict[str, Any]]()
+    for place, mean in enumerate([np.zeros_like(means[0]), *means[-args.finalists :]]):
+        for share in SHARES:
+            tried.append(share * mean)
+            actor = make_actor(grounds[0], tried[-1], numbers)
+            found.append(judge(grounds, actor, FINAL_SEEDS, args.final_episodes, args.worst))
+            part = "" if share == 1.0 else f", {share:g} of it"
+            watch.say(
+                f"{'zero' if place == 0 else f'finalist {place}{part}'}: "
+                f"success {100 * found[-1]['success_rate']:.1f} % "
+                f"(expert {100 * found[-1]['expert_success_rate']:.1f} %), gain {found[-1]['gain']:+.4f} m"
+            )
+            if not loses_success(found[-1]):
+                break
         watch.advance(args.generations + place)
-        watch.say(
-            f"{'zero' if place == 0 else f'finalist {place}'}: success {100 * found[-1]['success_rate']:.1f} % "
-            f"(expert {100 * found[-1]['expert_success_rate']:.1f} %), gain {found[-1]['gain']:+.4f} m"
-        )
-    best = max(range(len(finalists)), key=lambda place: rate_evaluation(found[place]))
-    return finalists[best], found[best]
+    best = max(range(len(tried)), key=lambda place: rate_evaluation(found[place]))
+    return tried[best], found[best]
 
 
 def make_actor(ground: Ground, constants: np.ndarray, numbers: int) -> Actor:

@@ -48,27 +48,37 @@ def test_the_search_finds_a_known_optimum(numbers: int, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(
-    ("gains", "success", "kept"),
+    ("gain", "loss", "kept"),
     [
-        ((0.0, -0.1, -0.2), (0.9, 0.9, 0.9), 0),
-        ((0.0, 0.3, 0.1), (0.9, 0.9, 0.9), 1),
-        ((0.0, 0.3, 0.1), (0.9, 0.8, 0.9), 2),  # who loses success is not kept, whatever it gains
+        ((-0.1, -0.2), (0.0, 0.0), (0, 1.0)),
+        ((0.3, 0.1), (0.0, 0.0), (1, 1.0)),
+        ((0.3, 0.1), (1.0, 0.0), (2, 1.0)),  # who loses success is not kept, whatever it gains
+        ((0.5, 0.1), (0.02, 0.0), (1, 0.25)),  # a share of it may be
     ],
 )
 def test_zero_is_kept_unless_a_finalist_surely_gains_without_losing_success(
-    gains: tuple[float, ...], success: tuple[float, ...], kept: int, monkeypatch: pytest.MonkeyPatch
+    gain: tuple[float, ...], loss: tuple[float, ...], kept: tuple[int, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    said = iter(zip(gains, success, strict=True))
+    means = [np.full((1, 3), 0.1), np.full((1, 3), 0.3)]
 
-    def judge(*_: Any) -> dict[str, float]:
-        gain, rate = next(said)
-        return {"gain": gain, "low": gain, "success_rate": rate, "expert_success_rate": 0.9}
+    def judge(grounds: Any, actor: Any, *_: Any) -> dict[str, float]:
+        """Gain and lose in proportion to the share of a finalist."""
+        (value,) = set(actor.correction(np.zeros((1, 45))).ravel().round(4))
+        place, share = next(
+            (place, share)
+            for place in (0, 1)
+            for share in (1.0, 0.5, 0.25, 0.0)
+            if round(float(np.float32(share * means[place][0, 0])), 4) == value
+        )
+        found = {"gain": share * gain[place], "success_rate": 0.9 - share * loss[place], "expert_success_rate": 0.9}
+        return {"low": found["gain"], **found}
 
     monkeypatch.setattr(tune, "judge", judge)
-    means = [np.full((1, 3), 0.1), np.full((1, 3), 0.2)]
     constants, found = tune.choose_best(ARGS, [make_ground()], means, 0, SILENT)
-    assert found["gain"] == gains[kept]
-    np.testing.assert_array_equal(constants, [np.zeros((1, 3)), *means][kept])
+    finalist, share = kept
+    expected = share * means[finalist - 1] if finalist else np.zeros((1, 3))
+    np.testing.assert_array_equal(constants, expected)
+    assert found["gain"] == (share * gain[finalist - 1] if finalist else 0.0)
 
 
 def test_the_network_returns_the_constant_of_the_impact() -> None:
