@@ -33,7 +33,8 @@ class Canvas:
 
         large = ZOOM * size[0], ZOOM * size[1]
         self.ground, self.curves, self.sheet = (pygame.Surface(large, depth=32) for _ in range(3))
-        self._small = pygame.Surface(size, depth=32)
+        self._small = pygame.Surface(size, depth=32)  # shrinking keeps the layers' bytes a pixel
+        self._picture = pygame.Surface(size, 0, 24, RGB_MASKS)
         self.is_blank = True
         self._covered: list[pygame.Rect] = []  # by what moved, in the last frame
 
@@ -68,10 +69,9 @@ class Canvas:
         for place in _join([*self._covered, *covered]):
             small = pygame.Rect(*(side // ZOOM for side in place))
             pygame.transform.smoothscale(self.sheet.subsurface(place), small.size, self._small.subsurface(small))
+            self._picture.blit(self._small, small, small)
         self._covered = covered
-        picture = pygame.Surface(self._small.get_size(), 0, 24, RGB_MASKS)
-        picture.blit(self._small, (0, 0))
-        return picture
+        return self._picture.copy()
 
     def _whole(self, places: Iterable[pygame.Rect]) -> list[pygame.Rect]:
         """Return places grown to whole pixels of the picture, without what lies outside it."""

@@ -198,8 +198,9 @@ def find_bounds(points: Points, reach: float) -> pygame.Rect:
 
     if not len(points):
         return pygame.Rect(0, 0, 0, 0)
-    left, top = (math.floor(side - reach) - 1 for side in points.min(axis=0).tolist())
-    right, bottom = (math.ceil(side + reach) + 1 for side in points.max(axis=0).tolist())
+    x, y = points.T.tolist()  # there are few: lists are faster
+    left, top = math.floor(min(x) - reach) - 1, math.floor(min(y) - reach) - 1
+    right, bottom = math.ceil(max(x) + reach) + 1, math.ceil(max(y) + reach) + 1
     return pygame.Rect(left, top, right - left, bottom - top)
 
 

@@ -17,6 +17,7 @@ FAR = 4.0  # a place less dear is as good as one covered square pixel less, time
 OUTSIDE = 20.0  # a square pixel outside the picture costs as much as so many covered ones
 # Directions from a body in the order of preference, in halves of its size and its label's: below, above, beside, ...
 WAYS = np.array([(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)], float)
+NEARBY = len(WAYS)  # places that are looked at before those farther away
 
 
 def choose_place(places: Points, boxes: Points, frame: Sequence[float]) -> Points:
@@ -34,15 +35,23 @@ def choose_place(places: Points, boxes: Points, frame: Sequence[float]) -> Point
     first = places[0]
     if (first[:2] >= edge[:2]).all() and (first[2:] <= edge[2:]).all() and not _covers(first, boxes).any():
         return first
+    costs = _judge(places[:NEARBY], boxes, edge)
+    if costs.min() >= FAR * len(costs):  # else no place farther away is better
+        costs = _judge(places, boxes, edge)
+    best = places[int(np.argmin(costs))]
+    shift = np.maximum(edge[:2] - best[:2], 0.0) - np.maximum(best[2:] - edge[2:], 0.0)
+    return best + np.tile(shift, 2)
+
+
+def _judge(places: Points, boxes: Points, edge: Points) -> Points:
+    """Return what each place costs: what it covers, what of it leaves the frame, and how far down the list it is."""
     near = boxes[_covers(np.concatenate([places[:, :2].min(axis=0), places[:, 2:].max(axis=0)]), boxes)]
     low = np.maximum(places[:, None, :2], near[None, :, :2])
     high = np.minimum(places[:, None, 2:], near[None, :, 2:])
     covered = np.maximum(high - low, 0.0).prod(axis=2).sum(axis=1)
     inside = np.maximum(np.minimum(places[:, 2:], edge[2:]) - np.maximum(places[:, :2], edge[:2]), 0.0).prod(axis=1)
     outside = (places[:, 2:] - places[:, :2]).prod(axis=1) - inside
-    best = places[int(np.argmin(covered + OUTSIDE * outside + FAR * np.arange(len(places))))]
-    shift = np.maximum(edge[:2] - best[:2], 0.0) - np.maximum(best[2:] - edge[2:], 0.0)
-    return best + np.tile(shift, 2)
+    return covered + OUTSIDE * outside + FAR * np.arange(len(places))
 
 
 def _covers(place: Points, boxes: Points) -> np.ndarray:
@@ -53,7 +62,8 @@ def _covers(place: Points, boxes: Points) -> np.ndarray:
 def place_beside(low: Points, high: Points, size: Size) -> Points:
     """Return places of a label around a body from ``low`` to ``high`` [px], nearest and lowest first."""
     middle, half = (low + high) / 2, np.array(size) / 2
-    centers = np.concatenate([middle + WAYS * ((high - low) / 2 + half + gap) for gap in GAPS])
+    reach = (high - low) / 2 + half + np.array(GAPS)[:, None, None]
+    centers = (middle + WAYS * reach).reshape(-1, 2)
     return np.hstack([centers - half, centers + half])
 
 
