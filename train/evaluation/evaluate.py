@@ -39,11 +39,12 @@ from train.evaluation.journal import Journal, digest, row_key
 from train.evaluation.metrics import compare_metrics, summarize
 from train.evaluation.own_policy import Factory, OwnPolicy, announce, read_policies
 from train.evaluation.player import Job, Outcome, checkpoint_directory
-from train.evaluation.shard import Request, ShardSizes, cut_shards, describe_origin, digest_policies, start_playing
+from train.evaluation.shard import Request, ShardSizes, cut_shards, describe_facts, digest_policies, start_playing
 from train.evaluation.statistics import compare
 from train.launch.folder import is_uri, write_uri
 from train.launch.launcher import Launcher
 from train.launch.local import LocalLauncher
+from train.launch.origin import describe_origin
 from train.launch.workers import end_on_sigterm
 
 # Per scenario, suite and policy. All are listed: a slip of the keyboard must not fill the memory.
@@ -215,7 +216,9 @@ def _play(
         if request.out is None:
             size = None if batched else 1
     elif launcher.remote:
-        request = replace(request, origin=describe_origin(cases, labels))
+        request = replace(
+            request, origin=describe_origin(describe_facts(cases, labels), bool(digest_policies(cases, labels)))
+        )
     return launcher.run(partial(start_playing, request), cut_shards(jobs, size))
 
 
@@ -296,17 +299,26 @@ def _digests(cases: Sequence[Case], labels: Sequence[str]) -> dict[str, str]:
 
 def _describe(cases: Sequence[Case], labels: Sequence[str], episodes: int, seed: int) -> dict[str, Any]:
     fields = ("name", "domain", "description", "formula", "horizon")
+    # A sweep sets other values in each of its cases, which are then changes of the case's.
+    first = cases[0].settings
+    common = {key: first[key] for key in first if all(case.settings.get(key) == first[key] for case in cases)}
     return {
         "cases": [
             {key: getattr(case.scenario, key) for key in fields}
-            | {"suite": case.suite, "changes": list_changes(case.scenario, case.suite)}
+            | {"suite": case.suite, "changes": _list_changes(case, common)}
             for case in cases
         ],
         "policies": list(labels),
         "episodes": episodes,
         "seed": seed,
-        "set": dict(cases[0].settings),
+        "set": common,
     }
+
+
+def _list_changes(case: Case, common: Mapping[str, Any]) -> dict[str, Any]:
+    own = {key: value for key, value in case.settings.items() if key not in common}
+    # The suite of a sweep's case is named by its values, too.
+    return list_changes(case.scenario, case.suite.partition(", ")[0] if own else case.suite) | own
 
 
 def _key(cases: Sequence[Case], job: Job) -> tuple[str, str, str, int]:

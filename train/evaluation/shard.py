@@ -7,17 +7,11 @@ else: not on who plays it, after what, or beside which other shards.
 from __future__ import annotations
 
 import json
-import os
-import platform
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any
 
-import impact_envs
-from impact_envs.errors import InputError
 from impact_envs.file import make_file_name
 from train.evaluation.batch_player import play_batched
 from train.evaluation.case import Case, is_built_in
@@ -25,8 +19,7 @@ from train.evaluation.journal import ROWS, digest, read_versions
 from train.evaluation.own_policy import digest_code, is_own
 from train.evaluation.player import Job, Outcome, Player, checkpoint_directory, use_one_thread
 from train.launch.folder import open_folder
-
-PACKAGES = ("impact_envs", "planners", "agents", "train")
+from train.launch.origin import Origin, check_origin
 
 
 @dataclass(frozen=True)
@@ -98,7 +91,7 @@ class Request:
         policies: that play.
         batched: whether many worlds are played at once, by ``threads``.
         out: URI of the folder in which every shard's rows are kept by whoever played it; None: nowhere.
-        origin: of the process that asks, see describe_origin; None: this machine, where nothing can differ.
+        origin: of the process that asks, see launch.origin; None: this machine, where nothing can differ.
     """
 
     cases: tuple[Case, ...]
@@ -120,7 +113,7 @@ def start_playing(request: Request) -> Callable[[Shard], Iterator[Outcome]]:
     """
     use_one_thread(request.cases, request.policies)
     if request.origin is not None:
-        _check_origin(request)
+        check_origin(request.origin, lambda: describe_facts(request.cases, request.policies))
     last: tuple[tuple[int, str], Player] | None = None
 
     def play_one(shard: Shard) -> Generator[Outcome]:
@@ -150,63 +143,10 @@ def name_part(case: Case, shard: Shard) -> str:
     return f"{ROWS}/{make_file_name(*words, suffix='.jsonl')}"
 
 
-@dataclass(frozen=True)
-class Origin:
-    """What rows depend on besides the request.
-
-    Attributes:
-        folder: that paths of checkpoints and own policies start from.
-        versions: of Python and the packages.
-        sources: digest of this project's code.
-        digests: of the policies' files.
-    """
-
-    folder: str
-    versions: tuple[tuple[str, str], ...]
-    sources: str
-    digests: tuple[tuple[str, str], ...]
-
-
-def describe_origin(cases: Sequence[Case], policies: Sequence[str]) -> Origin:
-    """Return what rows that are played in this process depend on."""
-    versions = {"python": platform.python_version(), **read_versions()}
-    return Origin(
-        str(Path.cwd()), tuple(versions.items()), _digest_sources(), tuple(digest_policies(cases, policies).items())
-    )
-
-
-def _check_origin(request: Request) -> None:
-    """Raise unless this machine plays the same as the one that asks; only then may their rows stand side by side.
-
-    Raises:
-        InputError: one line naming the machine and what differs.
-    """
-    asked, node = request.origin, platform.node()
-    assert asked is not None
-    if asked.digests:
-        try:
-            os.chdir(asked.folder)
-        except OSError as error:
-            raise InputError(
-                f"node {node}: folder {asked.folder}, where policies are: {error.strerror}; share it between the nodes"
-            ) from None
-    here = describe_origin(request.cases, request.policies)
-    pairs = [("the project's code", asked.sources, here.sources)]
-    for kind, ours, theirs in (("package", asked.versions, here.versions), ("policy", asked.digests, here.digests)):
-        found = dict(theirs)
-        pairs += [(f"{kind} {name}", value, found.get(name, "none")) for name, value in ours]
-    for name, ours_value, theirs_value in pairs:
-        if ours_value != theirs_value:
-            raise InputError(
-                f"node {node}: {name} is {theirs_value:.16}, where asked {ours_value:.16}; install the same"
-            )
-
-
-@cache
-def _digest_sources() -> str:
-    root = Path(impact_envs.__file__).parents[1]
-    files = sorted(file for package in PACKAGES for file in (root / package).rglob("*.py"))
-    return digest(*(file.relative_to(root).as_posix().encode() + file.read_bytes() for file in files))
+def describe_facts(cases: Sequence[Case], policies: Sequence[str]) -> dict[str, str]:
+    """Return what rows that are played in this process depend on, besides what is sent."""
+    digests = {f"policy {name}": value for name, value in digest_policies(cases, policies).items()}
+    return {f"package {name}": value for name, value in read_versions().items()} | digests
 
 
 def digest_policies(cases: Sequence[Case], policies: Sequence[str]) -> dict[str, str]:
