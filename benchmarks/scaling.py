@@ -1,0 +1,208 @@
+"""Measure what bounds an evaluation on a cluster, and model its time on more cores.
+
+    python benchmarks/scaling.py --ray
+
+Measured on this machine, in processor time, so that other work on it does not count: rows a core plays each second, bytes
+of a row, what a new worker costs, and what the one process that asks pays for each shard and each row. Modelled past the
+cores that are here: ``docs/scaling.md`` says what the model leaves out.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import tyro
+from rich.console import Console
+from rich.table import Table
+from startup import measure
+
+from train.evaluation.batch_player import play_batched
+from train.evaluation.case import TUNING_SEEDS, make_case
+from train.evaluation.evaluate import make_plans
+from train.evaluation.journal import Journal, row_key
+from train.evaluation.metrics import summarize
+from train.evaluation.player import Job
+from train.evaluation.shard import ShardSizes
+from train.evaluation.statistics import compare
+
+CORES = (2, 64, 1000)
+WORK = (
+    "from train.evaluation.case import make_case; from train.evaluation.batch_player import play_batched; "
+    "from train.evaluation.player import Job; list(play_batched([make_case('throw_and_catch', 'hard')], "
+    "[Job(0, 'expert', 1)]))"
+)
+
+
+@dataclass
+class Args:
+    """Measure what bounds an evaluation on a cluster."""
+
+    cases: tuple[str, ...] = ("throw_and_catch/zero", "throw_and_catch/lqr", "throw_and_catch/mpc", "corridor/lqr")
+    """SCENARIO/zero, SCENARIO/lqr or SCENARIO/mpc: no control, or the expert with that tracker."""
+    rows: int = 100
+    """Episodes of each."""
+    tasks: int = 500
+    """Empty shards that Ray is given to measure what one costs."""
+    ray: bool = False
+    """Start Ray on this machine and measure it; without, its cost per shard is --shard-ms."""
+    shard_ms: float = 1.0
+    """Cost of a shard to who asks, where Ray is not measured [ms]."""
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What the one process that asks pays, and a new worker [s].
+
+    Attributes:
+        shard: for handing out and taking back a shard of one row.
+        row: for taking and writing down another row.
+        table: at the end, for a row of tables and statistics.
+        start: processor time of a new worker until its first episode is over.
+    """
+
+    shard: float
+    row: float
+    table: float
+    start: float
+
+
+def play_rows(name: str, count: int) -> tuple[float, list[dict[str, Any]]]:
+    """Return the processor time of a row [s], of the second half when all is compiled, and the rows.
+
+    Args:
+        name: SCENARIO/zero, SCENARIO/lqr or SCENARIO/mpc.
+        count: of rows.
+    """
+    scenario, _, kind = name.partition("/")
+    case = make_case(scenario, "hard", {} if kind == "zero" else {"expert.tracker": kind})
+    policy = "zero" if kind == "zero" else "expert"
+    jobs = [Job(0, policy, TUNING_SEEDS + k) for k in range(count)]
+    (case,) = make_plans([case], jobs)
+    list(play_batched([case], jobs[:2]))
+    start = time.process_time()
+    rows = [row for row, _ in play_batched([case], jobs)]
+    return (time.process_time() - start) / count, rows
+
+
+def measure_writing(rows: list[dict[str, Any]]) -> tuple[float, float]:
+    """Return what writing down a row costs, and a row of the tables at the end [s].
+
+    Args:
+        rows: of one policy.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        journal = Journal(folder, {})
+        start = time.process_time()
+        for row in rows:
+            journal.append(row, None)
+        row_seconds = (time.process_time() - start) / len(rows)
+    many = [row | {"seed": k, "policy": policy} for policy in ("a", "b") for k, row in enumerate(rows * 10)]
+    start = time.process_time()
+    found = {row_key(row): row for row in many}
+    table = pd.DataFrame(list(found.values()))
+    summarize(table)
+    compare(table)
+    return row_seconds, (time.process_time() - start) / len(many)
+
+
+def measure_shards(rows: list[dict[str, Any]], tasks: int, size: int) -> tuple[float, float]:
+    """Return what a shard of one row costs who asks, and another row of it, on Ray [s].
+
+    Args:
+        rows: some to be sent back.
+        tasks: shards to be given.
+        size: rows of the larger shards.
+    """
+    from train.launch.ray import RayLauncher
+
+    launcher, times = RayLauncher(), list[float]()
+    try:
+        for count in (1, 1, size):  # the first one starts the workers
+            given = (rows * (1 + count // len(rows)))[:count]
+            start = time.process_time()
+            with closing(launcher.run(partial(start_echo, given), range(tasks))) as found:
+                assert sum(1 for _ in found) == tasks * count
+            times.append((time.process_time() - start) / tasks)
+    finally:
+        launcher.close()
+    return times[1], (times[2] - times[1]) / (size - 1)
+
+
+def start_echo(rows: list[dict[str, Any]]) -> Callable[[int], list[tuple[dict[str, Any], None]]]:
+    """Return what answers each task with the same rows."""
+    return lambda task: [(row, None) for row in rows]
+
+
+def model_time(rows: int, second: float, size: int, cores: int, costs: Costs) -> tuple[float, str]:
+    """Return how long an evaluation takes on some cores [s], and what takes most of it.
+
+    Args:
+        rows: to be played.
+        second: processor time of a row on its core [s].
+        size: rows of a shard.
+        cores: that play; the process that asks has one more.
+        costs: of that process, and of a new worker.
+    """
+    shards = math.ceil(rows / size)
+    parts = {
+        "playing": costs.start + math.ceil(shards / cores) * size * second,
+        "handing out": shards * costs.shard + rows * costs.row,
+    }
+    limit = max(parts, key=lambda name: parts[name])
+    seconds = parts[limit] + rows * costs.table
+    if limit == "playing" and shards < cores:
+        limit = "too few shards"
+    elif limit == "playing" and costs.start > 0.5 * parts["playing"]:
+        limit = "starting workers"
+    if rows * costs.table > 0.5 * seconds:
+        limit = "tables"
+    return seconds, limit
+
+
+def main(args: Args) -> None:
+    """Measure, model, and print both."""
+    console, size = Console(width=130), ShardSizes().batched
+    start, _ = measure(("-c", WORK))
+    seconds, kept = dict[str, float](), list[dict[str, Any]]()
+    measured = Table(
+        "suite hard, many worlds at once", "ms of a core a row", "rows/s a core", "bytes a row (journal)", "sent"
+    )
+    for name in args.cases:
+        seconds[name], rows = play_rows(name, args.rows)
+        kept = kept or rows
+        line = sum(len(json.dumps(row)) + 1 for row in rows) / len(rows)
+        sent = len(pickle.dumps([(row, None) for row in rows])) / len(rows)
+        cells = (f"{1e3 * seconds[name]:.3g}", f"{1 / seconds[name]:.3g}", f"{line:.0f}", f"{sent:.0f}")
+        measured.add_row(name, *cells)
+    console.print(measured)
+    written, table = measure_writing(kept)
+    shard, taken = measure_shards(kept, args.tasks, size) if args.ray else (1e-3 * args.shard_ms, 0.0)
+    costs = Costs(shard, taken + written, table, start)
+    console.print(
+        f"who asks pays: {1e3 * costs.shard:.2f} ms a shard{'' if args.ray else ' (assumed)'}, {1e6 * taken:.0f} us to "
+        f"take a row, {1e6 * written:.0f} us to write it, {1e6 * table:.0f} us of tables; a new worker: {start:.1f} s"
+    )
+    modelled = Table("rows", "what is played", "seeds a shard", *(f"{cores} cores" for cores in CORES))
+    for rows, sizes in ((24_000, (size, 10)), (10_000_000, (size,))):
+        for name in args.cases:
+            for count in sizes:
+                found = [model_time(rows, seconds[name], count, cores, costs) for cores in CORES]
+                modelled.add_row(f"{rows:,}", name, str(count), *(f"{time:,.0f} s: {limit}" for time, limit in found))
+    console.print(modelled)
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    main(tyro.cli(Args))
