@@ -2,19 +2,21 @@
 
     python benchmarks/scaling.py --ray
 
-Measured on this machine, in processor time, so that other work on it does not count: rows a core plays each second, bytes
-of a row, what a new worker costs, and what the one process that asks pays for each shard and each row. Modelled past the
-cores that are here: ``docs/scaling.md`` says what the model leaves out.
+Measured on this machine, in processor time, so that other work on it does not count: rows a core plays each second,
+bytes of a row, what a new worker costs, and what the one process that asks pays for each shard and each row. Modelled
+past the cores that are here: ``docs/scaling.md`` says what the model leaves out.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import pickle
 import sys
 import tempfile
 import time
+import tracemalloc
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -49,7 +51,13 @@ WORK = (
 class Args:
     """Measure what bounds an evaluation on a cluster."""
 
-    cases: tuple[str, ...] = ("throw_and_catch/zero", "throw_and_catch/lqr", "throw_and_catch/mpc", "corridor/lqr")
+    cases: tuple[str, ...] = (
+        "throw_and_catch/zero",
+        "throw_and_catch/lqr",
+        "throw_and_catch/mpc",
+        "corridor/lqr",
+        "corridor/mpc",
+    )
     """SCENARIO/zero, SCENARIO/lqr or SCENARIO/mpc: no control, or the expert with that tracker."""
     rows: int = 100
     """Episodes of each."""
@@ -79,7 +87,7 @@ class Costs:
 
 
 def play_rows(name: str, count: int) -> tuple[float, list[dict[str, Any]]]:
-    """Return the processor time of a row [s], of the second half when all is compiled, and the rows.
+    """Return the processor time of a row [s], when all is compiled, and the rows.
 
     Args:
         name: SCENARIO/zero, SCENARIO/lqr or SCENARIO/mpc.
@@ -91,13 +99,19 @@ def play_rows(name: str, count: int) -> tuple[float, list[dict[str, Any]]]:
     jobs = [Job(0, policy, TUNING_SEEDS + k) for k in range(count)]
     (case,) = make_plans([case], jobs)
     list(play_batched([case], jobs[:2]))
-    start = time.process_time()
+    start = read_cpu()
     rows = [row for row, _ in play_batched([case], jobs)]
-    return (time.process_time() - start) / count, rows
+    return (read_cpu() - start) / count, rows
+
+
+def read_cpu() -> float:
+    """Return the processor time of this process and of those that it has ended [s]."""
+    used = os.times()
+    return used.user + used.system + used.children_user + used.children_system
 
 
 def measure_writing(rows: list[dict[str, Any]]) -> tuple[float, float]:
-    """Return what writing down a row costs, and a row of the tables at the end [s].
+    """Return what writing down a row costs, and a row of the tables at the end, where five policies are compared [s].
 
     Args:
         rows: of one policy.
@@ -108,13 +122,24 @@ def measure_writing(rows: list[dict[str, Any]]) -> tuple[float, float]:
         for row in rows:
             journal.append(row, None)
         row_seconds = (time.process_time() - start) / len(rows)
-    many = [row | {"seed": k, "policy": policy} for policy in ("a", "b") for k, row in enumerate(rows * 10)]
-    start = time.process_time()
-    found = {row_key(row): row for row in many}
-    table = pd.DataFrame(list(found.values()))
-    summarize(table)
-    compare(table)
+    many = [row | {"seed": k, "policy": policy} for policy in "abcde" for k, row in enumerate(rows * 2)]
+    for count in (10, len(many)):  # the first one imports what statistics need
+        start = time.process_time()
+        table = pd.DataFrame([dict(row) for row in {row_key(row): row for row in many[-count:]}.values()])
+        summarize(table)
+        compare(table)
     return row_seconds, (time.process_time() - start) / len(many)
+
+
+def measure_memory(rows: list[dict[str, Any]]) -> float:
+    """Return the memory of a row where it was read or taken [bytes]."""
+    lines = [json.dumps(row) for row in rows]
+    tracemalloc.start()
+    try:
+        held = {row_key(row): row for row in map(json.loads, lines)}
+        return tracemalloc.get_traced_memory()[0] / len(held)
+    finally:
+        tracemalloc.stop()
 
 
 def measure_shards(rows: list[dict[str, Any]], tasks: int, size: int) -> tuple[float, float]:
@@ -146,7 +171,7 @@ def start_echo(rows: list[dict[str, Any]]) -> Callable[[int], list[tuple[dict[st
 
 
 def model_time(rows: int, second: float, size: int, cores: int, costs: Costs) -> tuple[float, str]:
-    """Return how long an evaluation takes on some cores [s], and what takes most of it.
+    """Return how long it takes on some cores until the last row is there [s], and what takes most of it.
 
     Args:
         rows: to be played.
@@ -161,45 +186,46 @@ def model_time(rows: int, second: float, size: int, cores: int, costs: Costs) ->
         "handing out": shards * costs.shard + rows * costs.row,
     }
     limit = max(parts, key=lambda name: parts[name])
-    seconds = parts[limit] + rows * costs.table
-    if limit == "playing" and shards < cores:
-        limit = "too few shards"
-    elif limit == "playing" and costs.start > 0.5 * parts["playing"]:
+    seconds = parts[limit]
+    if limit == "playing" and costs.start > 0.5 * seconds:
         limit = "starting workers"
-    if rows * costs.table > 0.5 * seconds:
-        limit = "tables"
+    elif limit == "playing" and shards < cores:
+        limit = "too few shards"
     return seconds, limit
 
 
 def main(args: Args) -> None:
     """Measure, model, and print both."""
-    console, size = Console(width=130), ShardSizes().batched
+    console, size = Console(width=140), ShardSizes().batched
     start, _ = measure(("-c", WORK))
-    seconds, kept = dict[str, float](), list[dict[str, Any]]()
-    measured = Table(
-        "suite hard, many worlds at once", "ms of a core a row", "rows/s a core", "bytes a row (journal)", "sent"
-    )
-    for name in args.cases:
-        seconds[name], rows = play_rows(name, args.rows)
-        kept = kept or rows
-        line = sum(len(json.dumps(row)) + 1 for row in rows) / len(rows)
-        sent = len(pickle.dumps([(row, None) for row in rows])) / len(rows)
-        cells = (f"{1e3 * seconds[name]:.3g}", f"{1 / seconds[name]:.3g}", f"{line:.0f}", f"{sent:.0f}")
-        measured.add_row(name, *cells)
-    console.print(measured)
+    played = {name: play_rows(name, args.rows) for name in args.cases}
+    kept = next(iter(played.values()))[1]
     written, table = measure_writing(kept)
     shard, taken = measure_shards(kept, args.tasks, size) if args.ray else (1e-3 * args.shard_ms, 0.0)
     costs = Costs(shard, taken + written, table, start)
+    heads = ("ms a row", "rows/s a core", "bytes a row", "sent", "cores fed", "with a URI")
+    measured = Table("suite hard, many worlds at once", *heads)
+    for name, (second, rows) in played.items():
+        line = sum(len(json.dumps(row)) + 1 for row in rows) / len(rows)
+        sent = len(pickle.dumps([(row, None) for row in rows])) / len(rows)
+        fed = [second / (costs.shard / size + row) for row in (costs.row, taken)]
+        cells = (f"{1e3 * second:.3g}", f"{1 / second:.3g}", f"{line:.0f}", f"{sent:.0f}", *(f"{x:.0f}" for x in fed))
+        measured.add_row(name, *cells)
+    console.print(measured)
     console.print(
-        f"who asks pays: {1e3 * costs.shard:.2f} ms a shard{'' if args.ray else ' (assumed)'}, {1e6 * taken:.0f} us to "
-        f"take a row, {1e6 * written:.0f} us to write it, {1e6 * table:.0f} us of tables; a new worker: {start:.1f} s"
+        f"who asks pays: {1e3 * costs.shard:.2f} ms a shard{'' if args.ray else ' (assumed)'}, {1e6 * taken:.1f} us to "
+        f"take a row, {1e6 * written:.0f} us to write it, {1e6 * table:.0f} us of tables, "
+        f"{1e-3 * measure_memory(kept):.1f} kB of memory a row; a new worker: {start:.1f} s"
     )
-    modelled = Table("rows", "what is played", "seeds a shard", *(f"{cores} cores" for cores in CORES))
-    for rows, sizes in ((24_000, (size, 10)), (10_000_000, (size,))):
+    seconds = {name: second for name, (second, _) in played.items()}
+    heads = (*(f"{cores} cores" for cores in CORES), "then tables")
+    modelled = Table("rows", "what is played", "seeds a shard", *heads)
+    for count, sizes in ((24_000, (size, 10)), (1_000_000, (size,))):
         for name in args.cases:
-            for count in sizes:
-                found = [model_time(rows, seconds[name], count, cores, costs) for cores in CORES]
-                modelled.add_row(f"{rows:,}", name, str(count), *(f"{time:,.0f} s: {limit}" for time, limit in found))
+            for seeds in sizes:
+                found = [model_time(count, seconds[name], seeds, cores, costs) for cores in CORES]
+                cells = (f"{time:,.0f} s: {limit}" for time, limit in found)
+                modelled.add_row(f"{count:,}", name, str(seeds), *cells, f"{count * costs.table:,.0f} s")
     console.print(modelled)
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
+import re
 import signal
+import socket
 import threading
 import time
 import uuid
@@ -22,6 +25,7 @@ from train.launch.launcher import Do
 # taken away for reasons that no task has to answer for.
 ATTEMPTS = 4
 QUEUED = 2  # tasks handed to Ray for each core: one that runs, and one that waits there for it
+PATIENCE = 5.0  # for a first answer of a cluster [s]
 REFRESH = 1.0  # time after which the cluster is asked anew how many cores it has [s]
 
 Task = TypeVar("Task")
@@ -91,6 +95,7 @@ def _connect(address: str | None, workers: int | None) -> None:
         InputError: it cannot be reached.
     """
     wanted: dict[str, Any] = {"address": address} if address else {}
+    _check_door(address or os.environ.get("RAY_ADDRESS", ""))
     try:
         with _keep_handlers():
             ray.init(
@@ -100,6 +105,23 @@ def _connect(address: str | None, workers: int | None) -> None:
         where = f"the Ray cluster at '{address}'" if address else "a Ray cluster"
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         raise InputError(f"{where} cannot be reached: {reason}; start one by `ray start --head`") from None
+
+
+def _check_door(address: str) -> None:
+    """Raise unless somebody answers at HOST:PORT; Ray itself would try for minutes.
+
+    Raises:
+        InputError: nobody does.
+    """
+    found = re.fullmatch(r"(?P<host>[^/:]+):(?P<port>[0-9]{1,5})", address)
+    if found is None:  # auto, ray://, none: Ray says at once, or within seconds
+        return
+    try:
+        socket.create_connection((found["host"], int(found["port"])), PATIENCE).close()
+    except (OSError, OverflowError) as error:
+        raise InputError(
+            f"the Ray cluster at '{address}' cannot be reached: {error}; start one by `ray start --head`"
+        ) from None
 
 
 @contextmanager

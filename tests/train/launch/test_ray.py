@@ -131,8 +131,16 @@ def test_rows_behind_a_uri_outlive_the_driver(cluster: Any, whole: bytes, script
     assert len(list((out / "rows").glob("*.jsonl"))) == len(POLICIES) * EPISODES // SIZE
 
 
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "127.0.0.1:99999", "nonsense"])
+def test_where_no_cluster_is_one_line_says_so(address: str) -> None:
+    said = f"the Ray cluster at '{address}' cannot be reached"
+    with pytest.raises(InputError, match=said) as caught, use_launcher(Launch("ray", address)):
+        pass
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.slow
-def test_what_a_shard_raises_is_raised_here_and_no_cluster_is_one_line(cluster: Any) -> None:
+def test_what_a_shard_raises_is_raised_here(cluster: Any) -> None:
     with use_launcher(Launch("ray", cluster.address)) as launcher:
         with pytest.raises(InputError, match="no such thing"):
             list(launcher.run(start_failing, [1]))
