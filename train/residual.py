@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -69,13 +69,14 @@ RISE, FALL = 4.0, 0.5  # of the cost of a failure, after an evaluation that lost
 HIGHEST = 8.0  # cost of a failure: beyond, robustness counts for nothing
 
 
-def main(args: Args) -> dict[str, Any]:
+def main(args: Args, saved: Callable[[], None] | None = None) -> dict[str, Any]:
     """Train, or go on training, until ``steps`` corrections are answered.
 
     Ctrl-C or a kill loses the present iteration and nothing else.
 
     Args:
         args: arguments of the run.
+        saved: called after every checkpoint, such as to copy it elsewhere.
 
     Returns:
         ``steps`` answered, ``out``, ``wall_seconds``, ``eval``: of the kept policy on the tuning seeds, paired with the
@@ -95,7 +96,7 @@ def main(args: Args) -> dict[str, Any]:
         check_run(args)
         grounds = make_grounds(args, cases)
         try:
-            run = Run(args, grounds)
+            run = Run(args, grounds, saved)
             with show_progress(args.steps, args.progress) as watch:
                 run.begin(watch)
                 while run.model.num_timesteps < args.steps:
@@ -190,6 +191,7 @@ class Run:
     Args:
         args: arguments of the run; with ``args.resume`` the last checkpoint is loaded.
         grounds: to train in.
+        saved: called after every checkpoint.
 
     Attributes:
         model: that is trained.
@@ -201,8 +203,9 @@ class Run:
         InputError: the checkpoint does not fit the arguments.
     """
 
-    def __init__(self, args: Args, grounds: list[Ground]) -> None:
+    def __init__(self, args: Args, grounds: list[Ground], saved: Callable[[], None] | None = None) -> None:
         self._args, self._grounds, self._settings = args, grounds, list_settings(asdict(args))
+        self._saved = saved
         experts = grounds[0].worlds.experts
         options = LearningOptions(
             args.hidden, args.learning_rate, args.batch, args.epochs, args.clip, args.entropy, args.target_kl,
@@ -356,6 +359,8 @@ class Run:
             shutil.rmtree(partial, ignore_errors=True)
         for old in sorted(folder.parent.glob("[0-9]*"))[:-2]:
             shutil.rmtree(old)
+        if self._saved is not None:
+            self._saved()
 
     def _save_policy(self, folder: Path, actor: Actor) -> None:
         experts = self._grounds[0].worlds.experts

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import shlex
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional
 
 from impact_envs.errors import InputError
 from train.cli.plan import check_plan_options, load_plan
 from train.cli.progress import say_written
 from train.evaluation.case import EVALUATION_SEEDS, make_cases
+from train.launch.choice import Launch, use_launcher
 from train.settings import parse_settings
 
 
@@ -43,12 +44,11 @@ class Command:
     """Fly a plan whatever it breaks."""
     objective: Literal["robustness", "impact_uncertainty"] | None = None
     """Without --plan: what the experts' plans maximise; robustness without."""
-    workers: int = 1
-    """Processes; with --batched threads."""
+    launch: OmitArgPrefixes[Launch] = field(default_factory=Launch)
     batched: bool = False
     """Play many worlds at once: the same verdicts much sooner, without solve times, effort and replays."""
     out: Path | None = None
-    """Folder of rows, summary and replays; a second call with it resumes."""
+    """Folder of rows, summary and replays, or its URI, such as s3://BUCKET/FOLDER; a second call with it resumes."""
     json: bool = False
 
     def run(self) -> dict[str, Any]:
@@ -64,18 +64,21 @@ class Command:
             cases = [replace(case, plan=plan) for case in cases]
         elif self.objective is not None:
             cases = [replace(case, objective=self.objective) for case in cases]
-        result = evaluate_cases(
-            cases,
-            self.policies,
-            self.episodes,
-            self.seed,
-            self.workers,
-            self.out,
-            batched=self.batched,
-        )
-        if self.out is not None:
-            say_written(self.out)
-            print(f"next: impact report {shlex.quote(str(self.out))}", file=sys.stderr)
+        with use_launcher(self.launch) as launcher:
+            result = evaluate_cases(
+                cases,
+                self.policies,
+                self.episodes,
+                self.seed,
+                self.launch.workers or 1,
+                self.out,
+                batched=self.batched,
+                launcher=launcher if launcher.remote else None,  # here smaller shards lose less
+            )
+        if result.out is not None:
+            say_written(result.out)
+            if isinstance(result.out, Path):
+                print(f"next: impact report {shlex.quote(str(self.out))}", file=sys.stderr)
         return {"rows": result.rows, "paired": result.paired, "set": settings} | self._describe_plan()
 
     def _check_plan(self) -> None:

@@ -31,8 +31,8 @@ from train.cli.progress import show_planning
 from train.errors import Diverged, WorkerLost
 
 COMMANDS = (
-    "list", "plan", "certify", "run", "play", "train", "tune", "dataset", "evaluate", "compare", "break", "report",
-    "reproduce", "demo",
+    "list", "plan", "certify", "run", "play", "train", "tune", "dataset", "evaluate", "sweep", "compare", "break",
+    "report", "reproduce", "demo",
 )  # fmt: skip
 # Faults of the disk; some libraries do not say of which file.
 DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)

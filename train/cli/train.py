@@ -9,6 +9,8 @@ from tyro.conf import OmitArgPrefixes
 
 from train.arguments import Args
 from train.cli.progress import say_written
+from train.cli.seeds import launch_seeds
+from train.launch.choice import Launch
 
 
 @dataclass
@@ -17,10 +19,15 @@ class Command:
 
     extras: ClassVar[tuple[str, ...]] = ("plan", "learn")
     args: OmitArgPrefixes[Args] = field(default_factory=Args)
+    seeds: tuple[int, ...] = ()
+    """A run of each of these seeds in OUT/seedN, instead of one of --seed in OUT; a second call goes on with all."""
+    launch: OmitArgPrefixes[Launch] = field(default_factory=Launch)
     json: bool = False
 
     def run(self) -> dict[str, Any]:
-        """Return steps, folder, time and the tuning evaluation."""
+        """Return steps, folder, time and the tuning evaluation; a row of each run where there are several."""
+        if self.seeds or self.launch != Launch():
+            return launch_seeds("train", self.args, self.seeds, self.launch)
         from train.residual import main
 
         result = main(self.args)

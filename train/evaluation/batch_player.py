@@ -44,6 +44,19 @@ class BatchPolicy(Protocol):
         """Let threads and processes go."""
 
 
+def answer_each(network: Callable[[np.ndarray], np.ndarray], given: np.ndarray) -> np.ndarray:
+    """Return what a network answers in every world, shape (m, ...), float64.
+
+    World by world: libraries multiply matrices of other shapes in another order, and a world's answer would depend, in
+    its last bits, on which others ask at the same moment; so on how episodes are cut into shards.
+
+    Args:
+        network: takes and returns a row for each world.
+        given: shape (m, ...).
+    """
+    return np.stack([np.asarray(network(given[k : k + 1]), float)[0] for k in range(len(given))])
+
+
 class _Zero:
     """No control at all."""
 
@@ -88,7 +101,7 @@ class _Expert:
         awaiting = self._experts.observe(output.joint)
         while awaiting.any():
             chosen = np.flatnonzero(awaiting)
-            corrections = np.asarray(self._correct(self._experts.features()[chosen]), float)
+            corrections = answer_each(self._correct, self._experts.features()[chosen])
             lost = ~np.isfinite(corrections).all(axis=1)  # no answer counts as zero
             corrections[lost] = 0.0
             self._unanswered[chosen] += lost
@@ -116,7 +129,7 @@ class _Shared(_Zero):
 
     def act(self, output: Any) -> np.ndarray:
         """Return what the network answers."""
-        return np.clip(np.asarray(self._choose(output.agents), float), -1.0, 1.0)
+        return np.clip(answer_each(self._choose, output.agents), -1.0, 1.0)
 
 
 class _Oracle(_Expert):

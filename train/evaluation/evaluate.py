@@ -6,9 +6,10 @@ import io
 import json
 import pickle
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from impact_envs.errors import InputError
-from impact_envs.file import write_atomically
 from impact_envs.scenario import Scenario
 from impact_envs.stream import check_seed
 from planners import has_planner, list_variants, make_plan
 from planners.plan import Plan
-from train.evaluation.batch_player import check_batched, play_batched
+from train.evaluation.batch_player import check_batched
 from train.evaluation.case import (
     EVALUATION_SEEDS,
     Case,
@@ -35,12 +35,17 @@ from train.evaluation.case import (
     make_cases,
 )
 from train.evaluation.folder_lock import lock_folder
-from train.evaluation.journal import Journal, digest, row_key, write_json
+from train.evaluation.journal import Journal, digest, row_key
 from train.evaluation.metrics import compare_metrics, summarize
-from train.evaluation.own_policy import Factory, OwnPolicy, announce, digest_code, is_own, read_policies
-from train.evaluation.player import Job, checkpoint_directory, play
+from train.evaluation.own_policy import Factory, OwnPolicy, announce, read_policies
+from train.evaluation.player import Job, Outcome, checkpoint_directory
+from train.evaluation.shard import Request, ShardSizes, cut_shards, describe_facts, digest_policies, start_playing
 from train.evaluation.statistics import compare
-from train.evaluation.workers import end_on_sigterm
+from train.launch.folder import is_uri, write_uri
+from train.launch.launcher import Launcher
+from train.launch.local import LocalLauncher
+from train.launch.origin import describe_origin
+from train.launch.workers import end_on_sigterm
 
 # Per scenario, suite and policy. All are listed: a slip of the keyboard must not fill the memory.
 MOST_EPISODES = 1_000_000
@@ -56,7 +61,7 @@ class EvaluationResult:
         episodes: one row per episode, see metrics.make_row.
         episodes_played: how many were played now; the rest came from the output directory.
         wall_seconds: duration, planning included [s].
-        out: where the files are; None if nothing was written.
+        out: where the files are, a folder or its URI; None if nothing was written.
     """
 
     rows: list[dict[str, Any]]
@@ -64,7 +69,7 @@ class EvaluationResult:
     episodes: pd.DataFrame
     episodes_played: int
     wall_seconds: float
-    out: Path | None
+    out: Path | str | None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as one JSON object, without the single episodes."""
@@ -88,6 +93,7 @@ def evaluate(
     out: str | Path | None = None,
     progress: bool = True,
     batched: bool = False,
+    launcher: Launcher | None = None,
 ) -> EvaluationResult:
     """Play every policy on the same seeds and sum up what happened.
 
@@ -102,10 +108,12 @@ def evaluate(
         seed: first seed; the others follow.
         suites: mismatch suites of the true world.
         workers: processes; 1 plays in this one.
-        out: folder for rows.parquet, summary.json, replays and the journal; default: nothing is written.
+        out: folder for rows.parquet, summary.json, replays and the journal, or its URI (``s3://``, ``file://``, what
+            pyarrow reaches); default: nothing is written.
         progress: show a bar on standard error.
         batched: play many worlds at once: the same success and robustness a hundred times sooner, without solve times,
             effort, a domain's figures and replays; see batch_player. ``workers`` are then threads.
+        launcher: who plays, such as a Ray cluster; default: this machine, by ``workers``.
 
     Returns:
         Aggregates, paired differences and rows.
@@ -115,7 +123,8 @@ def evaluate(
         PlanningError: an expert found no plan.
         WorkerLost: an episode ended its worker process twice.
     """
-    return evaluate_cases(make_cases(scenarios, suites), policies, episodes, seed, workers, out, progress, batched)
+    cases = make_cases(scenarios, suites)
+    return evaluate_cases(cases, policies, episodes, seed, workers, out, progress, batched, launcher)
 
 
 def evaluate_cases(
@@ -127,6 +136,8 @@ def evaluate_cases(
     out: str | Path | None = None,
     progress: bool = True,
     batched: bool = False,
+    launcher: Launcher | None = None,
+    sizes: ShardSizes | None = None,
 ) -> EvaluationResult:
     """Play every policy on the same seeds of the same cases; see evaluate.
 
@@ -136,10 +147,13 @@ def evaluate_cases(
         episodes: seeds per case and policy.
         seed: first seed; the others follow.
         workers: processes; 1 plays in this one.
-        out: folder for rows.parquet, summary.json, replays and the journal; default: nothing is written.
+        out: folder for rows.parquet, summary.json, replays and the journal, or its URI (``s3://``, ``file://``, what
+            pyarrow reaches); default: nothing is written.
         progress: show a bar on standard error.
         batched: play many worlds at once: the same success and robustness a hundred times sooner, without solve times,
             effort, a domain's figures and replays; see batch_player. ``workers`` are then threads.
+        launcher: who plays, such as a Ray cluster; default: this machine, by ``workers``.
+        sizes: of the shards that a launcher is given, or that are kept behind a URI.
 
     Raises:
         InputError: one line naming what is unknown or does not fit, or that another process writes into ``out``.
@@ -150,7 +164,7 @@ def evaluate_cases(
     if out is not None:
         import pyarrow  # noqa: F401  # that it is missing must not be found out after everything was played
     labels = read_policies(policies)
-    check_request(cases, labels, episodes, seed, workers)
+    check_request(cases, labels, episodes, seed, workers, sent=launcher is not None or (workers > 1 and not batched))
     for label in labels if batched else ():
         check_batched(label)
     jobs = [
@@ -159,7 +173,9 @@ def evaluate_cases(
         for label in labels
         for number in range(seed, seed + episodes)
     ]
-    with lock_folder(out) if out is not None else nullcontext():
+    out = write_uri(out) if out is not None and is_uri(out) else out
+    # Behind a URI nobody can lock: two who write there write the same rows under the same names.
+    with lock_folder(out) if out is not None and not is_uri(out) else nullcontext():
         journal = Journal(out, _digests(cases, labels)) if out is not None else None
         rows = dict(journal.rows) if journal else {}
         missing = [job for job in jobs if _key(cases, job) not in rows]
@@ -171,7 +187,7 @@ def evaluate_cases(
         with (
             end_on_sigterm(),
             Progress(*bar, console=Console(stderr=True), disable=not progress) as shown,
-            closing((play_batched if batched else play)(cases, missing, workers)) as outcomes,
+            closing(_play(cases, labels, missing, batched, workers, out, launcher, sizes or ShardSizes())) as outcomes,
         ):
             for row, replay in shown.track(outcomes, total=len(missing)):
                 rows[row_key(row)] = row
@@ -181,21 +197,48 @@ def evaluate_cases(
         return _sum_up(table, cases, len(missing), start, journal)
 
 
+def _play(
+    cases: Sequence[Case],
+    labels: Sequence[str],
+    jobs: Sequence[Job],
+    batched: bool,
+    workers: int,
+    out: str | Path | None,
+    launcher: Launcher | None,
+    sizes: ShardSizes,
+) -> Generator[Outcome]:
+    """Play what is missing: here, where the smallest shards lose least, or by a launcher."""
+    request = Request(tuple(cases), tuple(labels), batched, out=str(out) if out is not None and is_uri(out) else None)
+    size: int | None = sizes.batched if batched else sizes.single
+    if launcher is None:
+        request = replace(request, threads=workers if batched else 1)
+        launcher = LocalLauncher(1 if batched else workers)
+        if request.out is None:
+            size = None if batched else 1
+    elif launcher.remote:
+        request = replace(
+            request, origin=describe_origin(describe_facts(cases, labels), bool(digest_policies(cases, labels)))
+        )
+    return launcher.run(partial(start_playing, request), cut_shards(jobs, size))
+
+
 def _sum_up(
     table: pd.DataFrame, cases: Sequence[Case], played: int, start: float, journal: Journal | None
 ) -> EvaluationResult:
     domains = {case.scenario.name: case.scenario.domain for case in cases}
     pairs = [pair | compare_metrics(table, pair, domains[pair["scenario"]]) for pair in compare(table)]
-    folder = journal.directory if journal else None
+    folder = (getattr(journal.folder, "path", None) or str(journal.folder)) if journal else None
     rows, seconds = summarize(table, domains), time.perf_counter() - start
     result = EvaluationResult(rows, pairs, table, played, seconds, folder)
-    if folder:
-        _write(folder, result)
+    if journal:
+        _write(journal, result)
     return result
 
 
-def check_request(cases: Sequence[Case], labels: Sequence[str], episodes: int, seed: int, workers: int) -> None:
-    """Raise unless policies, cases and numbers fit together; see evaluate_cases."""
+def check_request(
+    cases: Sequence[Case], labels: Sequence[str], episodes: int, seed: int, workers: int, sent: bool = False
+) -> None:
+    """Raise unless policies, cases and numbers fit together, and can be sent to other processes; see evaluate_cases."""
     check_names("policy", labels)
     for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("workers", workers, 1)):
         if value < least:
@@ -211,7 +254,7 @@ def check_request(cases: Sequence[Case], labels: Sequence[str], episodes: int, s
         check_settings(case, labels)
         check_plan(case, labels)
     announce(labels)
-    if workers > 1:
+    if sent:
         _check_sendable(labels)
 
 
@@ -251,29 +294,31 @@ def _digests(cases: Sequence[Case], labels: Sequence[str]) -> dict[str, str]:
         if case.objective != "robustness":
             contents.append(case.objective)
         digests[f"{case.scenario.name}/{case.suite}"] = digest(*(content.encode() for content in contents))
-    for label in labels:
-        if is_own(label):
-            digests[label] = digest_code(label)
-        elif not all(is_built_in(label, case.scenario) for case in cases):
-            folder = checkpoint_directory(label)
-            files = sorted((*folder.glob("policy.*"), *folder.glob("shared.*")))
-            digests[label] = digest(*(file.read_bytes() for file in files))
-    return digests
+    return digests | digest_policies(cases, labels)
 
 
 def _describe(cases: Sequence[Case], labels: Sequence[str], episodes: int, seed: int) -> dict[str, Any]:
     fields = ("name", "domain", "description", "formula", "horizon")
+    # A sweep sets other values in each of its cases, which are then changes of the case's.
+    first = cases[0].settings
+    common = {key: first[key] for key in first if all(case.settings.get(key) == first[key] for case in cases)}
     return {
         "cases": [
             {key: getattr(case.scenario, key) for key in fields}
-            | {"suite": case.suite, "changes": list_changes(case.scenario, case.suite)}
+            | {"suite": case.suite, "changes": _list_changes(case, common)}
             for case in cases
         ],
         "policies": list(labels),
         "episodes": episodes,
         "seed": seed,
-        "set": dict(cases[0].settings),
+        "set": common,
     }
+
+
+def _list_changes(case: Case, common: Mapping[str, Any]) -> dict[str, Any]:
+    own = {key: value for key, value in case.settings.items() if key not in common}
+    # The suite of a sweep's case is named by its values, too.
+    return list_changes(case.scenario, case.suite.partition(", ")[0] if own else case.suite) | own
 
 
 def _key(cases: Sequence[Case], job: Job) -> tuple[str, str, str, int]:
@@ -295,8 +340,8 @@ def make_plans(cases: Sequence[Case], jobs: Iterable[Job]) -> list[Case]:
     return planned
 
 
-def _write(folder: Path, result: EvaluationResult) -> None:
+def _write(journal: Journal, result: EvaluationResult) -> None:
     table = io.BytesIO()
     result.episodes.to_parquet(table, index=False)
-    write_atomically(folder / "rows.parquet", table.getvalue())
-    write_json(folder / "summary.json", result.to_dict())
+    journal.folder.write("rows.parquet", table.getvalue())
+    journal.write("summary.json", result.to_dict())

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,6 @@ from train.evaluation.metrics import make_row
 from train.evaluation.oracle import OraclePolicy
 from train.evaluation.own_policy import is_own, make_own
 from train.evaluation.replay import episode_to_dict
-from train.evaluation.workers import work
 
 SHIPPED = Path(agents.__file__).parent / "checkpoints"
 # An episode's row, and its replay if one is wanted.
@@ -106,15 +104,12 @@ def make_policy(
     return ResidualPolicy.load(directory, loaded, plan, options)
 
 
-def play(cases: Sequence[Case], jobs: Sequence[Job], workers: int = 1) -> Generator[Outcome]:
-    """Play episodes and yield each outcome as it finishes.
-
-    Outcomes do not depend on the number of workers, except for measured times.
+def play(cases: Sequence[Case], jobs: Sequence[Job]) -> Generator[Outcome]:
+    """Play episodes one after the other in this process, and yield each outcome as it finishes.
 
     Args:
         cases: worlds to be judged in.
         jobs: episodes to be played.
-        workers: processes; 1 plays in this one.
 
     Yields:
         Row and replay of an episode, see metrics.make_row and replay.episode_to_dict.
@@ -122,16 +117,12 @@ def play(cases: Sequence[Case], jobs: Sequence[Job], workers: int = 1) -> Genera
     Raises:
         InputError: a checkpoint is broken or does not fit.
         PlanningError: an expert found no plan.
-        WorkerLost: an episode ended its worker twice.
     """
-    if workers == 1 or len(jobs) < 2:
-        _use_one_thread(cases, jobs)
-        yield from map(_Player(cases).play, jobs)
-        return
-    yield from work(partial(_start_player, cases, jobs), jobs, workers)
+    use_one_thread(cases, {job.policy for job in jobs})
+    yield from map(Player(cases).play, jobs)
 
 
-class _Player:
+class Player:
     """Play episodes in one process; environments and policies are made once and reused."""
 
     def __init__(self, cases: Sequence[Case]) -> None:
@@ -155,16 +146,10 @@ class _Player:
         return row, episode_to_dict(episode, case.scenario, case.suite, env.task.shapes(), plan)
 
 
-def _start_player(cases: Sequence[Case], jobs: Sequence[Job]) -> Callable[[Job], Outcome]:
-    """Return what plays an episode in a worker process."""
-    _use_one_thread(cases, jobs)
-    return _Player(cases).play
-
-
-def _use_one_thread(cases: Sequence[Case], jobs: Sequence[Job]) -> None:
+def use_one_thread(cases: Sequence[Case], policies: Iterable[str]) -> None:
     """Keep numerical libraries from using a thread per core in every process."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    if not all(is_built_in(job.policy, cases[job.case].scenario) for job in jobs):
+    if not all(is_built_in(policy, case.scenario) for policy in policies for case in cases):
         # Imported here: playing without checkpoints needs no torch.
         import torch
 

@@ -19,7 +19,7 @@ from tests.train.processes import ROOT, count_rows, find_children, is_alive, lis
 from train.errors import WorkerLost
 from train.evaluation.evaluate import evaluate
 from train.evaluation.folder_lock import lock_folder
-from train.evaluation.workers import work
+from train.launch.workers import work
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc and sends signals")
 

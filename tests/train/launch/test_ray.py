@@ -1,0 +1,158 @@
+"""Evaluations on a Ray cluster of two nodes on this machine: whatever is killed, the same rows."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from impact_envs import InputError
+from tests.train.processes import ROOT, count_rows, find_children, is_alive, start, wait_until
+from train.evaluation.case import TUNING_SEEDS, make_cases
+from train.evaluation.evaluate import evaluate_cases
+from train.launch.choice import Launch, use_launcher
+
+pytestmark = [
+    pytest.mark.skipif(find_spec("ray") is None, reason="the extra [ray] is not installed"),
+    pytest.mark.skipif(sys.platform != "linux", reason="reads /proc and sends signals"),
+]
+
+EPISODES, SIZE = 150, 10  # of each policy; seeds of a shard
+POLICIES = ("zero", "expert")
+SETTINGS = {"expert.tracker": "lqr"}
+MEMORY = 100 * 2**20  # of a node's object store [bytes]
+CODE = f"""
+import sys
+from train.evaluation.case import make_cases
+from train.evaluation.evaluate import evaluate_cases
+from train.evaluation.shard import ShardSizes
+from train.launch.choice import Launch, use_launcher
+
+if __name__ == "__main__":
+    cases = make_cases(["throw_and_catch"], ["hard"], {SETTINGS})
+    with use_launcher(Launch("ray", sys.argv[1])) as launcher:
+        evaluate_cases(
+            cases, {POLICIES}, {EPISODES}, {TUNING_SEEDS}, out=sys.argv[2], progress=False, batched=True,
+            launcher=launcher, sizes=ShardSizes(batched={SIZE}),
+        )
+"""
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The table that this process alone comes to."""
+    out = tmp_path_factory.mktemp("whole")
+    cases = make_cases(["throw_and_catch"], ["hard"], SETTINGS)
+    evaluate_cases(cases, POLICIES, EPISODES, TUNING_SEEDS, out=out, progress=False, batched=True)
+    return (out / "rows.parquet").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """Two nodes of a core each."""
+    from ray.cluster_utils import Cluster
+
+    os.environ["PYTHONPATH"] = str(ROOT)
+    head = {"num_cpus": 1, "object_store_memory": MEMORY, "include_dashboard": False}
+    made = Cluster(initialize_head=True, head_node_args=head)
+    made.add_node(num_cpus=1, object_store_memory=MEMORY)
+    made.wait_for_nodes()
+    ours = find_children(os.getpid(), b"ray")
+    assert len(ours) >= 3  # two raylets and what knows them both
+    yield made
+    made.shutdown()
+    assert wait_until(lambda: not any(map(is_alive, ours)), 30)
+
+
+@pytest.fixture
+def script(tmp_path: Path) -> Path:
+    path = tmp_path / "script.py"
+    path.write_text(CODE)
+    return path
+
+
+@pytest.mark.slow
+def test_a_worker_a_node_and_the_driver_are_killed_and_the_table_has_the_same_bytes(
+    cluster: Any, whole: bytes, script: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    run = start(script, cluster.address, out)
+    try:
+        assert wait_until(lambda: count_rows(out) >= SIZE, 240), run.poll()
+        workers = find_children(os.getpid(), b"ray::_do")
+        os.kill(workers[0], signal.SIGKILL)
+        assert wait_until(lambda: count_rows(out) >= 6 * SIZE, 240), run.poll()
+        cluster.remove_node(cluster.list_all_nodes()[-1], allow_graceful=False)
+        lost = count_rows(out)
+        assert wait_until(lambda: count_rows(out) >= lost + 2 * SIZE, 240), run.poll()
+    finally:
+        run.kill()
+        run.communicate()
+    assert count_rows(out) < len(POLICIES) * EPISODES
+    cluster.add_node(num_cpus=1, object_store_memory=MEMORY)
+    again = start(script, cluster.address, out)
+    try:
+        _, said = again.communicate(timeout=300)
+    finally:
+        again.kill()
+    assert again.returncode == 0, said
+    rows = [json.loads(line) for line in (out / "rows.jsonl").read_text().splitlines()]
+    keys = [(row["policy"], row["seed"]) for row in rows]
+    assert len(keys) == len(set(keys)) == len(POLICIES) * EPISODES
+    assert (out / "rows.parquet").read_bytes() == whole
+
+
+@pytest.mark.slow
+def test_rows_behind_a_uri_outlive_the_driver(cluster: Any, whole: bytes, script: Path, tmp_path: Path) -> None:
+    out = tmp_path / "shared"
+    run = start(script, cluster.address, out.as_uri())
+    try:
+        assert wait_until(lambda: len(list((out / "rows").glob("*.jsonl"))) >= 5, 240), run.poll()
+    finally:
+        run.kill()
+        run.communicate()
+    kept = {path.name: path.read_bytes() for path in (out / "rows").glob("[!.]*.jsonl")}
+    assert not (out / "rows.parquet").exists()
+    again = start(script, cluster.address, out.as_uri())
+    try:
+        _, said = again.communicate(timeout=300)
+    finally:
+        again.kill()
+    assert again.returncode == 0, said
+    assert (out / "rows.parquet").read_bytes() == whole
+    assert all((out / "rows" / name).read_bytes() == content for name, content in kept.items())
+    assert len(list((out / "rows").glob("*.jsonl"))) == len(POLICIES) * EPISODES // SIZE
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "127.0.0.1:99999", "nonsense"])
+def test_where_no_cluster_is_one_line_says_so(address: str) -> None:
+    said = f"the Ray cluster at '{address}' cannot be reached"
+    with pytest.raises(InputError, match=said) as caught, use_launcher(Launch("ray", address)):
+        pass
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_what_a_shard_raises_is_raised_here(cluster: Any) -> None:
+    with use_launcher(Launch("ray", cluster.address)) as launcher:
+        with pytest.raises(InputError, match="no such thing"):
+            list(launcher.run(start_failing, [1]))
+        assert sorted(launcher.run(start_squaring, range(5))) == [0, 1, 4, 9, 16]
+
+
+def start_squaring() -> Any:
+    return lambda task: [task * task]
+
+
+def start_failing() -> Any:
+    def fail(task: int) -> list[int]:
+        raise InputError("no such thing")
+
+    return fail
