@@ -37,6 +37,7 @@ NAMES: dict[str, tuple[str, str]] = {
     "validated": ("checked by simulation", ""),
     "success": ("formula satisfied", ""),
     "failure": ("simulation failed", ""),
+    "accepted": ("given plan accepted", ""),
     "solve_ms": ("computing time of a control period", "ms"),
     "replans": ("plans changed on the way", ""),
     "reoptimised": ("rest of the task planned anew", ""),
