@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,9 +16,12 @@ import pytest
 
 from impact_envs import InputError
 from tests.train.processes import ROOT, count_rows, find_children, is_alive, start, wait_until
+from train.arguments import Args
 from train.evaluation.case import TUNING_SEEDS, make_cases
 from train.evaluation.evaluate import evaluate_cases
 from train.launch.choice import Launch, use_launcher
+from train.launch.local import LocalLauncher
+from train.runs import TrainingRun, launch_runs, name_folder
 
 pytestmark = [
     pytest.mark.skipif(find_spec("ray") is None, reason="the extra [ray] is not installed"),
@@ -145,6 +149,36 @@ def test_what_a_shard_raises_is_raised_here(cluster: Any) -> None:
         with pytest.raises(InputError, match="no such thing"):
             list(launcher.run(start_failing, [1]))
         assert sorted(launcher.run(start_squaring, range(5))) == [0, 1, 4, 9, 16]
+
+
+@pytest.mark.slow
+def test_a_training_whose_worker_is_killed_goes_on_elsewhere_to_the_same_weights(cluster: Any, tmp_path: Path) -> None:
+    arguments = Args(
+        scenarios=("throw_and_catch",), suite=("hard",), steps=200, set=("expert.tracker=lqr",), worlds=16, threads=1,
+        eval_every=2, eval_episodes=4, report_episodes=4, log=False, progress=False, seed=3,
+    )  # fmt: skip
+    shared = tmp_path / "shared"
+    with use_launcher(Launch("ray", cluster.address)) as launcher:
+        run = TrainingRun("train", arguments, name_folder(shared.as_uri(), "seed3"))
+        killed = list[int]()
+        watch = threading.Thread(target=kill_when, args=(shared / "seed3" / "state.tar", killed))
+        watch.start()
+        (result,) = launch_runs(launcher, [run], progress=False)
+        watch.join()
+    assert killed
+    assert result["steps"] >= 200
+    alone = TrainingRun("train", arguments, name_folder(tmp_path / "alone"))
+    launch_runs(LocalLauncher(), [alone], progress=False)
+    there, here = (folder / "policy.safetensors" for folder in (shared / "seed3", tmp_path / "alone"))
+    assert there.read_bytes() == here.read_bytes()
+
+
+def kill_when(path: Path, killed: list[int]) -> None:
+    """Kill a worker once a file is there."""
+    if wait_until(path.exists, 240):
+        killed += find_children(os.getpid(), b"ray::_do")[:1]
+        for pid in killed:
+            os.kill(pid, signal.SIGKILL)
 
 
 def start_squaring() -> Any:
