@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from planners.budget import Budget
 from planners.errors import Infeasible, PlanningError
-from planners.free_flyer.nominal.composition import add_waits
 from planners.free_flyer.nominal.event_sequence import EventSequence, Word, compute_impacts, make_object_curve
 from planners.free_flyer.nominal.least_cost import CostOptimum, minimise_path_cost
 from planners.free_flyer.nominal.leg_times import Wait, find_waits
 from planners.free_flyer.nominal.robustness import TOLERANCE, RobustnessOptimum
+from planners.free_flyer.nominal.several_objects.composition import add_waits
 from planners.free_flyer.nominal.smoothing import smooth_motions
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.word_grid import WordGrid, solve_word_grid

@@ -200,12 +200,15 @@ class PlanOptions:
             are not halved.
         joint: share of their robustness that several objects keep when their flights are straightened.
         thrust: share of the thrust that smooth motions may use; None: that of the reserves.
+        few: impacts of every one of several objects that are tried first, with each of the reserves; None: all are.
         expected: number of impacts to try first, then one more, then fewer, and none with more; None: count up from the
             fewest.
         screen: whether it is told first, with each of the reserves, where there is no plan, see `screen_task`.
         many_impacts: from which on it is looked first whether there are as many without anything in the way, see
             `exclude_size`; the shipped scenarios have fewer.
         halvings: how often the reserves are halved for a task that leaves no room for them.
+        brisk: factor of the time in which robots reach the speed of a leg, where their thrust limits this speed and the
+            event grid has no plan.
         turns: factors of the time for starting and stopping, tried when motions prove too quick to be smoothed.
         words: number of sequences of impacts tried at each of these.
         haste: time for a plan with the impacts found so far, once planning is interrupted [s].
@@ -234,10 +237,12 @@ class PlanOptions:
     satisfying: float = 0.9
     joint: float = 1.0
     thrust: float | None = None
+    few: int | None = 3
     expected: int | None = None
     screen: bool = False
     many_impacts: int = 3
     halvings: int = 2
+    brisk: float = 2.0
     turns: tuple[float, ...] = (1.0, 1.5)
     words: int = 3
     haste: float = 5.0

@@ -13,7 +13,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import build_scenario
 from planners.budget import Work
 from planners.free_flyer.frame import find_frame
-from planners.free_flyer.nominal.composition import add_waits, compose_objects, is_large
+from planners.free_flyer.nominal.several_objects.composition import add_waits, compose_objects, is_large
 from planners.free_flyer.nominal.event_sequence import compute_speed_caps, find_own
 from planners.free_flyer.nominal.leg_times import Wait
 from planners.free_flyer.nominal.task import CompositionOptions, NominalTask, PlanOptions
