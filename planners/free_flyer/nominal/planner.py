@@ -15,7 +15,13 @@ from planners.free_flyer.frame import Frame, find_frame
 from planners.free_flyer.nominal.attempt import Attempt
 from planners.free_flyer.nominal.diagnosis import Relaxation, find_relaxation, list_amounts
 from planners.free_flyer.nominal.event_sequence import Word
-from planners.free_flyer.nominal.finishing import plan_composed, plan_events, plan_long_ways, plan_patiently
+from planners.free_flyer.nominal.finishing import (
+    correct_word,
+    plan_composed,
+    plan_events,
+    plan_long_ways,
+    plan_patiently,
+)
 from planners.free_flyer.nominal.robustness import MANY, RobustnessOptimum, maximise_robustness
 from planners.free_flyer.nominal.screening import screen_task
 from planners.free_flyer.nominal.several_objects.joint_robustness import maximise_jointly
@@ -251,35 +257,53 @@ class _Climber:
             except PlanningError:
                 pass  # the plan with all reserves is left
         rough: list[Word] = []
+        plans: list[Plan] = []
+
+        def is_enough() -> bool:
+            return max((plan.robustness for plan in plans), default=0.0) >= options.satisfying * optimum.rho
+
         try:
             if self.hurry and optimum.events is not None:
                 rough.append(optimum.events.sequence.hitters)
                 raise SolverFailed("smoothing", "there is a plan already", "raise the time limit")
             if optimum.events is not None and (optimum.size.pieces > MANY or optimum.words):
                 return plan_long_ways(task, optimum, optimum.events, rough, budget, options)
+            if options.thorough and optimum.events is not None:
+                return plan_events(task, optimum, rough, budget, replace(options, words=1, turns=options.turns[:1]))
             return plan_events(task, optimum, rough, budget, options)
         except PlanningError as error:
             self.failure = error
             if not options.thorough:
                 raise
-        fewer = self._plan_fewer(optimum)
-        if fewer is not None and fewer.robustness >= options.satisfying * optimum.rho:
-            return fewer
-        try:
-            plan = plan_patiently(task, optimum, rough, self.failure, budget, options)
-        except PlanningError:
-            if fewer is None:
-                raise
-            return fewer
-        return plan if fewer is None or plan.robustness > fewer.robustness else fewer
+        if not optimum.words and not self.hurry and optimum.events is not None:
+            # Where the motions are too quick, what they need is soon known; other sequences take longer to find.
+            word = rough[0] if rough else optimum.events.sequence.hitters
+            with suppress(PlanningError):
+                plans.append(correct_word(task, optimum, word, budget, options))
+            if not is_enough():
+                with suppress(PlanningError):
+                    plans.append(plan_events(task, optimum, rough, budget, options))
+        if not is_enough():
+            plans += self._plan_fewer(optimum)
+        if not is_enough():
+            try:
+                plans.append(plan_patiently(task, optimum, rough, self.failure, budget, options))
+            except PlanningError:
+                if not plans:
+                    raise
+        return max(plans, key=lambda plan: plan.robustness)
 
-    def _plan_fewer(self, optimum: RobustnessOptimum) -> Plan | None:
-        """Return the most robust plan with fewer impacts than a sequence that is too quick; None: there is none."""
+    def _plan_fewer(self, optimum: RobustnessOptimum) -> list[Plan]:
+        """Return the most robust plan with fewer impacts than a sequence that is too quick, if there is one."""
         hasty = replace(self.options, words=1, turns=self.options.turns[:1])
         for other in optimum.fewer:
+            rough: list[Word] = []
             with suppress(PlanningError):
-                return plan_events(self.task, other, [], self.budget, hasty)
-        return None
+                return [plan_events(self.task, other, rough, self.budget, hasty)]
+            for word in rough[:1]:
+                with suppress(PlanningError):
+                    return [correct_word(self.task, other, word, self.budget, self.options)]
+        return []
 
 
 def quicken_legs(

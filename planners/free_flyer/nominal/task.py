@@ -10,7 +10,7 @@ from planners.budget import Work
 from planners.free_flyer.frame import Frame
 from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import Word
-from planners.free_flyer.nominal.leg_times import Wait
+from planners.free_flyer.nominal.leg_times import Correction
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.formula_rows import add_demands
 from planners.free_flyer.specification.grid import GridSize
@@ -30,7 +30,7 @@ class NominalTask:
         solver: of mixed-integer models.
         work: that is counted and limited, if any is.
         frame: whose units the scenario is in.
-        waits: least times between events, beyond those of the reserves.
+        corrections: least times between events, and room for impacts, beyond those of the reserves.
         sharp: whether speeds of several objects are capped by what a word says of their first and last impacts.
         easy_nodes: of branch and bound, in proofs that leave out what is in the way.
     """
@@ -41,7 +41,7 @@ class NominalTask:
     solver: str = "highs"
     work: Work | None = None
     frame: Frame = field(default_factory=Frame)
-    waits: tuple[Wait, ...] = ()
+    corrections: tuple[Correction, ...] = ()
     sharp: bool = False
     easy_nodes: int = 200
 
@@ -72,9 +72,8 @@ class NominalTask:
         """
         shape = size.impacts, rho, self.reserves, size.pieces, word, elastic, self.sharp, loose_speeds
         grid = build_event_grid(self.scenario, *shape)
-        events = grid.times[:: grid.pieces]
-        for wait in self.waits:
-            grid.model.require(wait.seconds - (events[wait.second] - events[wait.first]))
+        for correction in self.corrections:
+            correction.add_to(grid)
         return grid, add_demands(grid, self.demands, self.scenario.control_period, size.passing, avoid)
 
 

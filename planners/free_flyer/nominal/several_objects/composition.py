@@ -21,7 +21,7 @@ from planners.free_flyer.nominal.clearance_rows import add_clearance_rows, solve
 from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import ANYBODY, Word
 from planners.free_flyer.nominal.least_cost import read_word, straighten_flight
-from planners.free_flyer.nominal.leg_times import Wait
+from planners.free_flyer.nominal.leg_times import Correction
 from planners.free_flyer.nominal.several_objects.sequence_search import list_parts_about
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.word_grid import WordGrid
@@ -210,21 +210,20 @@ def free_numbers(task: NominalTask, done: Done, pieces: int, rho: tuple[float, f
     return WordGrid(task, grid, choices, solve(model, limit, solver=task.solver, work=task.work).x)
 
 
-def add_waits(found: WordGrid, waits: Iterable[Wait], time_limit: float) -> WordGrid:
-    """Return a grid whose alternatives are given, with more time on some legs, and its most robust point.
+def add_corrections(found: WordGrid, corrections: Iterable[Correction], time_limit: float) -> WordGrid:
+    """Return a grid whose alternatives are given, with more time or room at some events, and its most robust point.
 
     Args:
         found: the grid; it gets the rows.
-        waits: least times between events.
+        corrections: least times between events, and room for impacts.
         time_limit: wall time [s].
 
     Raises:
-        Infeasible: there is not so much time.
+        Infeasible: there is not so much time or room.
     """
     grid, task = found.grid, found.task
-    events = grid.times[:: grid.pieces]
-    for wait in waits:
-        grid.model.require(wait.seconds - (events[wait.second] - events[wait.first]))
+    for correction in corrections:
+        correction.add_to(grid)
     return replace(found, x=solve(grid.model, time_limit, solver=task.solver, work=task.work).x)
 
 
