@@ -65,7 +65,7 @@ def give_way(
                 task, straight, ways[straight], aside, numbers[aside], pieces, rho[0], find_time_left(), options
             )
             objects = [straight, aside]
-            for name in numbers.keys() - {straight, aside}:
+            for name in (name for name in numbers if name not in (straight, aside)):
                 objects.append(name)
                 allowed = range(numbers[name], max_impacts - len(done.word) + 1)
                 done = append_object(task, done, objects, allowed, pieces, rho[0], find_time_left, options)
