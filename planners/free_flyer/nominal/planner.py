@@ -351,7 +351,7 @@ def _try_remedy(task: NominalTask, found: Sequence[Relaxation], max_impacts: int
     try:
         loose = loosen(task.scenario, [a / task.frame.length + room if a > 0.0 else 0.0 for a in amounts])
         tried = replace(task, scenario=loose, demands=read_demands(loose, task.reserves.wall))
-        _Climber(tried, max_impacts, Budget(options.diagnosis), replace(options, thorough=False)).climb()
+        _Climber(tried, max_impacts, Budget(options.diagnosis), replace(options, thorough=False, few=None)).climb()
     except (PlanningError, InputError):
         return False
     return True
