@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from planners.budget import Budget
 from planners.errors import Infeasible, PlanningError
-from planners.free_flyer.nominal.composition import add_waits
 from planners.free_flyer.nominal.event_sequence import EventSequence, Word, compute_impacts, make_object_curve
 from planners.free_flyer.nominal.least_cost import CostOptimum, minimise_path_cost
-from planners.free_flyer.nominal.leg_times import Wait, find_waits
+from planners.free_flyer.nominal.leg_times import Correction, find_rooms, find_waits
 from planners.free_flyer.nominal.robustness import TOLERANCE, RobustnessOptimum
+from planners.free_flyer.nominal.several_objects.composition import add_corrections
 from planners.free_flyer.nominal.smoothing import smooth_motions
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.word_grid import WordGrid, solve_word_grid
@@ -92,7 +92,7 @@ def plan_patiently(
     budget: Budget,
     options: PlanOptions,
 ) -> Plan:
-    """Give hasty legs more time, then keep less robustness, until the motions of a sequence can be smoothed.
+    """Give hasty legs more time and impacts more room, then keep less robustness, until motions can be smoothed.
 
     Args:
         task: what is asked.
@@ -109,7 +109,7 @@ def plan_patiently(
     for _ in range(options.words):
         for word in words:
             try:
-                return _plan_word(task, optimum, word, budget, options)
+                return correct_word(task, optimum, word, budget, options)
             except PlanningError:
                 if budget.left <= 0.0:
                     raise failure from None
@@ -128,14 +128,14 @@ def plan_patiently(
 def plan_composed(
     task: NominalTask, optimum: RobustnessOptimum, found: WordGrid, budget: Budget, options: PlanOptions
 ) -> Plan:
-    """Plan objects that are moved one after another, each time with more time on the legs that are hasty.
+    """Plan objects that are moved one after another, each time with more time or room where motions are hasty.
 
     Raises:
         PlanningError: no motions can be smoothed.
     """
 
-    def solve_patiently(waits: Sequence[Wait]) -> WordGrid:
-        return add_waits(found, waits, max(budget.left, 0.0)) if waits else found
+    def solve_patiently(corrections: Sequence[Correction]) -> WordGrid:
+        return add_corrections(found, corrections, max(budget.left, 0.0)) if corrections else found
 
     def read_cheapest(grid: WordGrid, rho: float) -> CostOptimum:
         return grid.reduce_cost(rho)
@@ -143,16 +143,18 @@ def plan_composed(
     return _wait_longer(task, optimum, solve_patiently, read_cheapest, budget, options)
 
 
-def _plan_word(task: NominalTask, optimum: RobustnessOptimum, word: Word, budget: Budget, options: PlanOptions) -> Plan:
-    """Plan one sequence of impacts again and again, each time with more time on the legs that are hasty.
+def correct_word(
+    task: NominalTask, optimum: RobustnessOptimum, word: Word, budget: Budget, options: PlanOptions
+) -> Plan:
+    """Plan one sequence of impacts again and again, each time with more time or room where motions are hasty.
 
     Raises:
         PlanningError: that does not help.
     """
     size, bounds = replace(optimum.size, passing=True), (options.least, optimum.bound)
 
-    def solve_patiently(waits: Sequence[Wait]) -> WordGrid:
-        patient = replace(task, waits=tuple(waits))
+    def solve_patiently(corrections: Sequence[Correction]) -> WordGrid:
+        patient = replace(task, corrections=tuple(corrections))
         return solve_word_grid(patient, size, bounds, 0.25 * budget.left, options.robustness_gap, word)
 
     def read_cheapest(grid: WordGrid, rho: float) -> CostOptimum:
@@ -166,17 +168,17 @@ def _plan_word(task: NominalTask, optimum: RobustnessOptimum, word: Word, budget
 def _wait_longer(
     task: NominalTask,
     optimum: RobustnessOptimum,
-    solve_patiently: Callable[[Sequence[Wait]], WordGrid],
+    solve_patiently: Callable[[Sequence[Correction]], WordGrid],
     read_cheapest: Callable[[WordGrid, float], CostOptimum],
     budget: Budget,
     options: PlanOptions,
 ) -> Plan:
-    """Plan again and again, each time with more time on the legs that are hasty.
+    """Plan again and again, each time with more time or room where motions are hasty.
 
     Args:
         task: what is asked.
         optimum: of the event grid.
-        solve_patiently: returns the most robust point with least times between events.
+        solve_patiently: returns the most robust point with least times between events and room for impacts.
         read_cheapest: returns the events of least path cost that keep a robustness.
         budget: time.
         options: factors and shares.
@@ -186,15 +188,15 @@ def _wait_longer(
     """
     best: Plan | None = None
     failure: PlanningError = Infeasible("smoothing", "no leg is hasty", "allow more impacts")
-    waits: dict[tuple[int, int], Wait] = {}
+    corrections: dict[tuple[object, ...], Correction] = {}
     for factor in options.patience:
         if budget.left <= 0.0:
             break
         try:
             with budget.stage("robustness"):
-                found = solve_patiently(tuple(waits.values()))
+                found = solve_patiently(tuple(corrections.values()))
         except PlanningError as error:
-            failure = failure if waits else error
+            failure = failure if corrections else error
             break
         last: EventSequence | None = None
         for share in options.less:
@@ -214,8 +216,9 @@ def _wait_longer(
         if last is None:
             break
         impacts = compute_impacts(task.scenario, last)
-        hasty = find_waits(task.scenario, last, impacts, task.reserves, factor)
-        waits |= {(wait.first, wait.second): wait for wait in hasty}
+        hasty: tuple[Correction, ...] = find_waits(task.scenario, last, impacts, task.reserves, factor, every=True)
+        cramped: tuple[Correction, ...] = find_rooms(task.scenario, impacts, task.reserves, factor)
+        corrections |= {correction.key: correction for correction in (*hasty, *cramped)}
     if best is None:
         raise failure
     return best

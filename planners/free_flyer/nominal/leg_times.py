@@ -1,7 +1,8 @@
-"""How long the legs of robots take at least, now that the velocities of their impacts are known.
+"""How long the legs of robots take at least, and how much room they need, now that their velocities are known.
 
-The event grid knows neither the velocity a robot needs at an impact nor the way round an object it has just hit. A
-sequence whose motions prove too quick to be smoothed is planned again with more time on its hasty legs.
+The event grid knows neither the velocity a robot needs at an impact, nor the room to reach it and to stop afterwards,
+nor the way round an object it has just hit. A sequence whose motions prove too quick to be smoothed is planned again
+with more time on its hasty legs, and with its impacts farther from the world's edges.
 """
 
 from __future__ import annotations
@@ -10,10 +11,12 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners.free_flyer.nominal.event_grid import EventGrid
 from planners.free_flyer.nominal.event_sequence import EventSequence
 from planners.free_flyer.reserves import Reserves
 from planners.plan import PlannedImpact
@@ -33,6 +36,48 @@ class Wait:
     second: int
     seconds: float
 
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Return what it is about; a later one with this key replaces it."""
+        return self.first, self.second
+
+    def add_to(self, grid: EventGrid) -> None:
+        """Add its row to a grid."""
+        events = grid.times[:: grid.pieces]
+        grid.model.require(self.seconds - (events[self.second] - events[self.first]))
+
+
+@dataclass(frozen=True)
+class Room:
+    """Hold how far a robot that hits has to be from an edge of the world.
+
+    Args:
+        robot: its name.
+        event: number of the impact.
+        axis: 0 or 1.
+        sign: 1 for the upper edge, -1 for the lower one.
+        bound: sign times the robot's place is at most this [m].
+    """
+
+    robot: str
+    event: int
+    axis: int
+    sign: float
+    bound: float
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Return what it is about; a later one with this key replaces it."""
+        return self.robot, self.event, self.axis, self.sign
+
+    def add_to(self, grid: EventGrid) -> None:
+        """Add its row to a grid."""
+        place = grid.knots[self.robot][self.event * grid.pieces][self.axis]
+        grid.model.require(place * self.sign - self.bound)
+
+
+Correction: TypeAlias = Wait | Room
+
 
 @dataclass(frozen=True)
 class _Stop:
@@ -51,6 +96,7 @@ def find_waits(
     impacts: Sequence[PlannedImpact],
     reserves: Reserves,
     factor: float,
+    every: bool = False,
 ) -> tuple[Wait, ...]:
     """Return how long the legs of robots should take that take less than so many times the least time.
 
@@ -60,6 +106,7 @@ def find_waits(
         impacts: from `compute_impacts`.
         reserves: thrust and clearance.
         factor: of the least time.
+        every: whether legs that are not hasty are returned, too, for more time for one leg takes it from others.
 
     Returns:
         One wait per hasty leg; none: there is no such leg.
@@ -74,9 +121,40 @@ def find_waits(
             )
             least = max(least, _measure_way_round(scenario, here, there, strength, reserves))
             taken = sequence.times[there.event] - sequence.times[here.event]
-            if taken < factor * least:
+            if every or taken < factor * least:
                 waits.append(Wait(here.event, there.event, factor * least))
     return tuple(waits)
+
+
+def find_rooms(
+    scenario: FreeFlyerScenario, impacts: Sequence[PlannedImpact], reserves: Reserves, factor: float
+) -> tuple[Room, ...]:
+    """Return how far from the world's edges robots should hit that have less room than they need.
+
+    Reaching a velocity v from rest, or stopping from it, takes v^2 / (2 a) of way, on the side from which the robot
+    comes before its impact and on the side to which it goes afterwards.
+
+    Args:
+        scenario: limits and world.
+        impacts: from `compute_impacts`.
+        reserves: thrust and distance from walls.
+        factor: of the least way.
+
+    Returns:
+        One per robot, impact and edge that are too near; none: all have room.
+    """
+    rooms = []
+    lower, upper = np.array(scenario.world.lower), np.array(scenario.world.upper)
+    for event, impact in enumerate(impacts, start=1):
+        robot = scenario.robots[impact.robot]
+        inset, strength = robot.radius + reserves.wall, reserves.acceleration(robot)
+        for axis, velocity in itertools.product(range(2), (-impact.robot_minus, impact.robot_plus)):
+            sign = 1.0 if velocity[axis] > 0.0 else -1.0
+            edge = upper[axis] if sign > 0.0 else -lower[axis]
+            bound = float(edge - inset - factor * velocity[axis] ** 2 / (2.0 * strength))
+            if sign * impact.contact[axis] > bound:
+                rooms.append(Room(impact.robot, event, axis, sign, bound))
+    return tuple(rooms)
 
 
 def compute_least_time(distance: float, start: float, end: float, strength: float, fastest: float) -> float:

@@ -12,16 +12,19 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.budget import Budget, Clock, Work, get_clock, use_clock
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.frame import Frame, find_frame
+from planners.free_flyer.nominal.attempt import Attempt
 from planners.free_flyer.nominal.diagnosis import Relaxation, find_relaxation, list_amounts
 from planners.free_flyer.nominal.event_sequence import Word
-from planners.free_flyer.nominal.finishing import plan_composed, plan_events, plan_long_ways, plan_patiently
-from planners.free_flyer.nominal.robustness import (
-    MANY,
-    RobustnessOptimum,
-    maximise_jointly,
-    maximise_robustness,
+from planners.free_flyer.nominal.finishing import (
+    correct_word,
+    plan_composed,
+    plan_events,
+    plan_long_ways,
+    plan_patiently,
 )
+from planners.free_flyer.nominal.robustness import MANY, RobustnessOptimum, maximise_robustness
 from planners.free_flyer.nominal.screening import screen_task
+from planners.free_flyer.nominal.several_objects.joint_robustness import maximise_jointly
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.verdict import Trial, judge_trials
 from planners.free_flyer.nominal.ways import count_pieces
@@ -135,60 +138,62 @@ def _plan_task(
         max_impacts = min(max_impacts, options.expected + 1)
     trials: list[Trial] = []
     best: Plan | None = None
-    for halvings, pieces in _list_attempts(task, options, trials):
+    for attempt in _list_attempts(task, options, trials):
         if trials and budget.left <= 0.0:
             break
-        if best is not None and pieces != options.pieces:
+        if best is not None and not attempt.may_improve(several=len(scenario.objects) > 1):
             continue
-        tried = replace(options, pieces=pieces, enough=options.enough * (1.0 if options.thorough else 0.5**halvings))
-        climber = _Climber(_halve_reserves(task, halvings), max_impacts, budget, tried, hurry=best is not None)
+        enough = options.enough * (1.0 if options.thorough else 0.5**attempt.halvings)
+        tried = replace(options, pieces=attempt.pieces, enough=enough, few=options.few if attempt.few else None)
+        climber = _Climber(attempt.cut_reserves(task, options), max_impacts, budget, tried, hurry=best is not None)
         try:
             plan = climber.climb()
         except PlanningError as error:
-            trials.append(Trial(halvings, pieces, error, climber.rho))
+            trials.append(Trial(attempt, error, climber.rho))
             continue
         if best is None or plan.robustness > best.robustness:
             best = plan
         if not options.thorough or climber.rho is None or plan.robustness >= options.satisfying * climber.rho:
             break
-        trials.append(Trial(halvings, pieces, climber.failure, climber.rho))
+        trials.append(Trial(attempt, climber.failure, climber.rho))
     if best is not None:
         return best
     if not options.thorough:
         failure = trials[0].error
         assert failure is not None
         raise failure
-    hardest = _halve_reserves(task, max(trial.halvings for trial in trials))
+    hardest = max((trial.attempt for trial in trials), key=lambda attempt: (attempt.halvings, attempt.brisk))
+    least = hardest.cut_reserves(task, options)
     complete = budget.left > 0.0
-    verdict = judge_trials(trials, hardest, max_impacts, budget, complete)
-    raise _explain(verdict, hardest, max_impacts, budget, options)
+    verdict = judge_trials(trials, least, max_impacts, budget, complete)
+    raise _explain(verdict, least, max_impacts, budget, options)
 
 
-def _list_attempts(
-    task: NominalTask, options: PlanOptions, trials: Sequence[Trial]
-) -> Iterator[tuple[int, tuple[int, ...]]]:
-    """Yield how often reserves are halved, and the numbers of pieces per leg, in the order in which they are tried.
+def _list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Trial]) -> Iterator[Attempt]:
+    """Yield the attempts in the order in which they are made.
 
-    Legs get more pieces where the event grid has no plan without: first as many as the shortest ways round obstacles
-    have, with each of the reserves; when these have failed as well, all other numbers.
+    Several objects are first tried with few impacts and each of the reserves: to exclude all the other numbers takes
+    long where the reserves leave no room. Where the event grid has no plan, robots whose thrust limits their legs may
+    take longer to become faster. Legs get more pieces where it has no plan without: first as many as the shortest ways
+    round obstacles have, with each of the reserves; when these have failed as well, all other numbers.
     """
     needed = count_pieces(task.scenario, task.demands, task.reserves.wall) if options.thorough else None
     more = range(max(options.pieces) + 1, options.most_pieces + 1) if options.thorough else ()
     first = [pieces for pieces in more if needed is not None and needed <= pieces <= needed + 1]
     first = first if needed is not None and needed > max(options.pieces) else []
-    for halvings in range(options.halvings + 1):
-        yield halvings, options.pieces
+    several = options.thorough and options.few is not None and len(task.scenario.objects) > 1
+    for few, halvings in itertools.product((True, False) if several else (False,), range(options.halvings + 1)):
+        attempt = Attempt(options.pieces, halvings, few)
+        yield attempt
         if trials and trials[-1].rho is None:
-            yield from ((halvings, (pieces,)) for pieces in first)
+            if options.thorough and attempt.is_slow(task):
+                yield replace(attempt, brisk=True)
+            yield from (replace(attempt, pieces=(pieces,)) for pieces in first)
     if all(trial.rho is None for trial in trials):
-        rest = [pieces for pieces in more if pieces not in first]
-        yield from itertools.product(range(options.halvings + 1), ((pieces,) for pieces in rest))
-
-
-def _halve_reserves(task: NominalTask, times: int) -> NominalTask:
-    for _ in range(times):
-        task = replace(task, reserves=replace(task.reserves.halved(), underway=1.0))
-    return task
+        rest = [(pieces,) for pieces in more if pieces not in first]
+        for halvings, pieces in itertools.product(range(options.halvings + 1), rest):
+            attempt = Attempt(pieces, halvings)
+            yield from (attempt, replace(attempt, brisk=True)) if attempt.is_slow(task) else (attempt,)
 
 
 @dataclass
@@ -252,18 +257,53 @@ class _Climber:
             except PlanningError:
                 pass  # the plan with all reserves is left
         rough: list[Word] = []
+        plans: list[Plan] = []
+
+        def is_enough() -> bool:
+            return max((plan.robustness for plan in plans), default=0.0) >= options.satisfying * optimum.rho
+
         try:
             if self.hurry and optimum.events is not None:
                 rough.append(optimum.events.sequence.hitters)
                 raise SolverFailed("smoothing", "there is a plan already", "raise the time limit")
             if optimum.events is not None and (optimum.size.pieces > MANY or optimum.words):
                 return plan_long_ways(task, optimum, optimum.events, rough, budget, options)
+            if options.thorough and optimum.events is not None:
+                return plan_events(task, optimum, rough, budget, replace(options, words=1, turns=options.turns[:1]))
             return plan_events(task, optimum, rough, budget, options)
         except PlanningError as error:
             self.failure = error
             if not options.thorough:
                 raise
-        return plan_patiently(task, optimum, rough, self.failure, budget, options)
+        if not optimum.words and not self.hurry and optimum.events is not None:
+            # Where the motions are too quick, what they need is soon known; other sequences take longer to find.
+            word = rough[0] if rough else optimum.events.sequence.hitters
+            with suppress(PlanningError):
+                plans.append(correct_word(task, optimum, word, budget, options))
+            if not is_enough():
+                with suppress(PlanningError):
+                    plans.append(plan_events(task, optimum, rough, budget, options))
+        if not is_enough():
+            plans += self._plan_fewer(optimum)
+        if not is_enough():
+            try:
+                plans.append(plan_patiently(task, optimum, rough, self.failure, budget, options))
+            except PlanningError:
+                if not plans:
+                    raise
+        return max(plans, key=lambda plan: plan.robustness)
+
+    def _plan_fewer(self, optimum: RobustnessOptimum) -> list[Plan]:
+        """Return the most robust plan with fewer impacts than a sequence that is too quick, if there is one."""
+        hasty = replace(self.options, words=1, turns=self.options.turns[:1])
+        for other in optimum.fewer:
+            rough: list[Word] = []
+            with suppress(PlanningError):
+                return [plan_events(self.task, other, rough, self.budget, hasty)]
+            for word in rough[:1]:
+                with suppress(PlanningError):
+                    return [correct_word(self.task, other, word, self.budget, self.options)]
+        return []
 
 
 def quicken_legs(
@@ -311,7 +351,7 @@ def _try_remedy(task: NominalTask, found: Sequence[Relaxation], max_impacts: int
     try:
         loose = loosen(task.scenario, [a / task.frame.length + room if a > 0.0 else 0.0 for a in amounts])
         tried = replace(task, scenario=loose, demands=read_demands(loose, task.reserves.wall))
-        _Climber(tried, max_impacts, Budget(options.diagnosis), replace(options, thorough=False)).climb()
+        _Climber(tried, max_impacts, Budget(options.diagnosis), replace(options, thorough=False, few=None)).climb()
     except (PlanningError, InputError):
         return False
     return True

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Mapping, Sequence
-from contextlib import nullcontext, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from planners.budget import Budget
 from planners.errors import Infeasible, PlanningError, SolverFailed
-from planners.free_flyer.nominal.composition import compose_objects, is_large
-from planners.free_flyer.nominal.event_sequence import Hitter, Word
-from planners.free_flyer.nominal.least_cost import CostOptimum, minimise_path_cost
+from planners.free_flyer.nominal.event_sequence import Word
+from planners.free_flyer.nominal.least_cost import CostOptimum
 from planners.free_flyer.nominal.screening import exclude_size
-from planners.free_flyer.nominal.sequence_search import lengthen_words, restrict_to_object, search_words
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.word_grid import WordGrid, solve_word_grid
 from planners.free_flyer.specification.grid import GridSize
-from planners.free_flyer.specification.requirement import read_demands
 from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
 
 TOLERANCE = 1e-6  # of the robustness: solvers stop within this of the optimum [m]
@@ -38,6 +34,7 @@ class RobustnessOptimum:
         events: that attain the robustness at any path cost, for when there is no time for the least; of several
             objects only where they need more impacts than one by one.
         found: grid of objects that are moved one after another, whose alternatives are kept.
+        fewer: optima of fewer impacts or pieces that are less robust, the most robust one first.
     """
 
     size: GridSize
@@ -47,6 +44,7 @@ class RobustnessOptimum:
     cost_bound: float = 0.0
     events: CostOptimum | None = None
     found: WordGrid | None = None
+    fewer: tuple[RobustnessOptimum, ...] = ()
 
 
 def maximise_robustness(
@@ -105,7 +103,8 @@ def maximise_robustness(
                 raise
             break
         if best is None or found.rho > best.rho + TOLERANCE:
-            best = replace(found, rho=ceiling) if ceiling - found.rho <= TOLERANCE else found
+            fewer = () if best is None else (best, *best.fewer)
+            best = replace(found, rho=ceiling if ceiling - found.rho <= TOLERANCE else found.rho, fewer=fewer)
             progress.robustness = best.rho * length
         if best.rho >= options.enough * ceiling:
             break
@@ -154,135 +153,3 @@ def _solve_size(
         with suppress(SolverFailed):
             events = found.reduce_cost(best) if cheap else found.read()
     return RobustnessOptimum(size, best, rho[1], events=events)
-
-
-def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, options: PlanOptions) -> RobustnessOptimum:
-    """Return the optimum for several objects, starting from those of each object alone.
-
-    What the objects attain alone bounds what they attain together, in robustness and in number of impacts. First a
-    word is sought that attains both bounds; only if there is none are all words open (see `maximise_robustness`).
-
-    Args:
-        task, max_impacts, budget, options: as for `maximise_robustness`.
-
-    Raises:
-        Infeasible: no plan within max_impacts.
-        SolverFailed: out of time.
-    """
-    ceiling = compute_geometric_bound(task.scenario, task.demands, task.solver)
-    rho, pieces, progress = ceiling, 1, budget.progress
-    alone: dict[str, tuple[NominalTask, RobustnessOptimum]] = {}
-    for name in task.scenario.objects:
-        scenario = restrict_to_object(task.scenario, name)
-        if scenario is None:
-            continue
-        own = replace(task, scenario=scenario, demands=read_demands(scenario, task.reserves.wall))
-        progress.about, progress.robustness = f"{name} alone", None
-        optimum = maximise_robustness(own, max_impacts, budget, replace(options, expected=None))
-        rho, pieces = min(rho, optimum.rho), max(pieces, optimum.size.pieces)
-        alone[name] = own, optimum
-    progress.about, progress.robustness, progress.bound = "all objects", None, ceiling * task.frame.length
-    numbers = {name: optimum.size.impacts for name, (_, optimum) in alone.items()}
-    large = options.thorough and is_large(task, numbers, pieces, options)
-    if large:
-        composed = _compose(task, numbers, max_impacts, pieces, (rho, ceiling), budget, options)
-        if composed is not None:
-            return composed
-    hits: list[tuple[float, Hitter]] = []
-    for own, optimum in alone.values():
-        events = optimum.events
-        if events is None or options.thorough:
-            # Where this takes long, its events are as good a start as any.
-            limit = budget.left if events is None or not options.thorough else budget.left / 8
-            with suppress(PlanningError) if events is not None and options.thorough else nullcontext():
-                events = minimise_path_cost(own, optimum.size, optimum.rho, options.cost, limit)
-        assert events is not None
-        hits += zip(events.sequence.times[1:-1], events.sequence.hitters, strict=True)
-    seed = tuple(hitter for _, hitter in sorted(hits))
-    if len(seed) <= max_impacts:
-        size = GridSize(len(seed), pieces)
-        share = 4 if options.thorough else 2
-        end = budget.elapsed + 0.4 * budget.left if options.thorough else math.inf
-        lost = options.search.lost if options.thorough else None
-        left = lambda: min(budget.left / share, end - budget.elapsed)  # noqa: E731 - the clock of this search
-        found = search_words(task, size, options.joint * rho, seed, left, options, lost)
-        if found.words:
-            return RobustnessOptimum(size, rho, ceiling, found.words, found.bound)
-    if options.thorough:
-        composed = None if large else _compose(task, numbers, max_impacts, pieces, (rho, ceiling), budget, options)
-        if composed is not None:
-            return composed
-        longer = _find_longer(task, max_impacts, (rho, ceiling), max(pieces, MANY), seed, budget, options)
-        if longer is not None:
-            return longer
-        shallow = (
-            _find_shallow(task, (rho, ceiling), pieces, seed, budget, options) if len(seed) <= max_impacts else None
-        )
-        if shallow is not None:
-            return shallow
-    fewest = len(seed) if options.expected is None else min(len(seed), options.expected)
-    return maximise_robustness(task, max_impacts, budget, options, fewest)
-
-
-def _compose(
-    task: NominalTask,
-    numbers: Mapping[str, int],
-    max_impacts: int,
-    pieces: int,
-    rho: tuple[float, float],
-    budget: Budget,
-    options: PlanOptions,
-) -> RobustnessOptimum | None:
-    """Return the optimum of objects one after another, as robust as may be; None: none was found.
-
-    Args:
-        task, max_impacts, budget, options: as for `maximise_jointly`.
-        numbers: object to the impacts that it needs alone.
-        pieces: per leg.
-        rho: least robustness that the objects attain alone, and its bound [m].
-    """
-    end, shares = budget.elapsed + options.compose.time * budget.left, options.compose.shares
-    for left, share in zip(range(len(shares), 0, -1), shares, strict=True):
-        part = budget.share((end - budget.elapsed) / left)
-        kept = max(options.least, share * rho[0]), rho[1]
-        found = compose_objects(task, numbers, max_impacts, pieces, kept, lambda part=part: part.left, options)  # type: ignore[misc]
-        if found is not None:
-            return RobustnessOptimum(GridSize(len(found.grid.hits), pieces), found.rho, rho[1], found=found)
-    return None
-
-
-def _find_shallow(
-    task: NominalTask, rho: tuple[float, float], pieces: int, seed: Word, budget: Budget, options: PlanOptions
-) -> RobustnessOptimum | None:
-    """Return words of as many impacts as the objects need one by one, with less robustness; None: none was found."""
-    quick = replace(options.cost, wishes=options.cost.wishes[-1:])
-    hasty = replace(options, cost=quick, search=replace(options.search, improve=False))
-    size = GridSize(len(seed), pieces)
-    for share in options.search.shallow_shares:
-        kept = max(options.least, share * options.joint * rho[0])
-        found = search_words(task, size, kept, seed, lambda: budget.left / 6, hasty)
-        if found.words:
-            return RobustnessOptimum(size, kept, rho[1], found.words)
-    return None
-
-
-def _find_longer(
-    task: NominalTask,
-    max_impacts: int,
-    rho: tuple[float, float],
-    pieces: int,
-    seed: Word,
-    budget: Budget,
-    options: PlanOptions,
-) -> RobustnessOptimum | None:
-    """Return the optimum of words with more impacts than the objects need one by one; None: none was found."""
-    end = budget.elapsed + 0.7 * budget.left
-    most = min(max_impacts - len(seed), options.search.most_longer)
-    for extra, share in itertools.product(range(1, most + 1), options.search.longer_shares):
-        if budget.elapsed >= end:
-            break
-        size, kept = GridSize(len(seed) + extra, pieces), share * options.joint * rho[0]
-        found = lengthen_words(task, size, kept, seed, lambda: end - budget.elapsed, options)
-        if found.words:
-            return RobustnessOptimum(size, kept, rho[1], found.words, events=found.events)
-    return None

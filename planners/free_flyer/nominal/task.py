@@ -10,7 +10,7 @@ from planners.budget import Work
 from planners.free_flyer.frame import Frame
 from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import Word
-from planners.free_flyer.nominal.leg_times import Wait
+from planners.free_flyer.nominal.leg_times import Correction
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.formula_rows import add_demands
 from planners.free_flyer.specification.grid import GridSize
@@ -30,7 +30,7 @@ class NominalTask:
         solver: of mixed-integer models.
         work: that is counted and limited, if any is.
         frame: whose units the scenario is in.
-        waits: least times between events, beyond those of the reserves.
+        corrections: least times between events, and room for impacts, beyond those of the reserves.
         sharp: whether speeds of several objects are capped by what a word says of their first and last impacts.
         easy_nodes: of branch and bound, in proofs that leave out what is in the way.
     """
@@ -41,7 +41,7 @@ class NominalTask:
     solver: str = "highs"
     work: Work | None = None
     frame: Frame = field(default_factory=Frame)
-    waits: tuple[Wait, ...] = ()
+    corrections: tuple[Correction, ...] = ()
     sharp: bool = False
     easy_nodes: int = 200
 
@@ -72,9 +72,8 @@ class NominalTask:
         """
         shape = size.impacts, rho, self.reserves, size.pieces, word, elastic, self.sharp, loose_speeds
         grid = build_event_grid(self.scenario, *shape)
-        events = grid.times[:: grid.pieces]
-        for wait in self.waits:
-            grid.model.require(wait.seconds - (events[wait.second] - events[wait.first]))
+        for correction in self.corrections:
+            correction.add_to(grid)
         return grid, add_demands(grid, self.demands, self.scenario.control_period, size.passing, avoid)
 
 
@@ -200,12 +199,15 @@ class PlanOptions:
             are not halved.
         joint: share of their robustness that several objects keep when their flights are straightened.
         thrust: share of the thrust that smooth motions may use; None: that of the reserves.
+        few: impacts of every one of several objects that are tried first, with each of the reserves; None: all are.
         expected: number of impacts to try first, then one more, then fewer, and none with more; None: count up from the
             fewest.
         screen: whether it is told first, with each of the reserves, where there is no plan, see `screen_task`.
         many_impacts: from which on it is looked first whether there are as many without anything in the way, see
             `exclude_size`; the shipped scenarios have fewer.
         halvings: how often the reserves are halved for a task that leaves no room for them.
+        brisk: factor of the time in which robots reach the speed of a leg, where their thrust limits this speed and the
+            event grid has no plan.
         turns: factors of the time for starting and stopping, tried when motions prove too quick to be smoothed.
         words: number of sequences of impacts tried at each of these.
         haste: time for a plan with the impacts found so far, once planning is interrupted [s].
@@ -234,10 +236,12 @@ class PlanOptions:
     satisfying: float = 0.9
     joint: float = 1.0
     thrust: float | None = None
+    few: int | None = 3
     expected: int | None = None
     screen: bool = False
     many_impacts: int = 3
     halvings: int = 2
+    brisk: float = 2.0
     turns: tuple[float, ...] = (1.0, 1.5)
     words: int = 3
     haste: float = 5.0

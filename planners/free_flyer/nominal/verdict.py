@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from planners.budget import Budget, get_clock
 from planners.errors import Infeasible, PlanningError, SolverFailed
+from planners.free_flyer.nominal.attempt import Attempt
 from planners.free_flyer.nominal.task import NominalTask
 
 SHARES = {0: "all", 1: "half", 2: "a quarter"}  # of the reserves that are left when they were halved so often
@@ -17,21 +18,19 @@ class Trial:
     """Hold an attempt without a plan.
 
     Args:
-        halvings: how often the reserves were halved.
-        pieces: numbers of pieces per leg.
+        attempt: what was tried.
         error: why there is no plan, or only one of less robustness; None: only the event grid knows.
         rho: robustness of sequences of impacts that exist, but have no smooth motions; None: none were found [m].
     """
 
-    halvings: int
-    pieces: tuple[int, ...]
+    attempt: Attempt
     error: PlanningError | None
     rho: float | None = None
 
     @property
     def is_proof(self) -> bool:
         """Return whether the event grid is proven to have no such plan."""
-        return self.rho is None and isinstance(self.error, Infeasible)
+        return self.rho is None and not self.attempt.few and isinstance(self.error, Infeasible)
 
 
 def judge_trials(
@@ -49,11 +48,11 @@ def judge_trials(
     Returns:
         `Infeasible` if all attempts are proofs, else `SolverFailed`.
     """
-    problem, most = f"plan of {task.scenario.name}", max(max(trial.pieces) for trial in trials)
-    if complete and all(trial.is_proof for trial in trials):
+    problem, most = f"plan of {task.scenario.name}", max(max(trial.attempt.pieces) for trial in trials)
+    if complete and all(trial.is_proof for trial in trials if not trial.attempt.few):
         status = f"proven infeasible with up to {max_impacts} impacts, {most} straight pieces a leg"
         remedy = "allow more impacts or time, move the areas, or relax the formula"
-        return Infeasible(problem, f"{status} and {describe_reserves(task, trials[-1].halvings)}", remedy)
+        return Infeasible(problem, f"{status} and {describe_reserves(task, trials[-1].attempt.halvings)}", remedy)
     late = budget.left <= 0.0 or any(trial.error and "time limit" in trial.error.status for trial in trials)
     done = "" if task.work is None else f" ({task.work.done:.0f} units of work done)"
     limit = f"the time limit of {budget.limit:g} s{done}" if late else "these numbers of impacts, pieces and reserves"
@@ -73,12 +72,15 @@ def describe_reserves(task: NominalTask, halvings: int) -> str:
     return (
         f"{share} of the planner's reserves: {reserves.clearance * length:.3g} m between bodies, "
         f"{reserves.wall * length:.3g} m from walls, {first:.3g} s before, {gap:.3g} s between and "
-        f"{last:.3g} s after impacts"
+        f"{last:.3g} s after impacts, legs at up to {100 * reserves.speed:.0f} % of the speed limit and no faster than "
+        f"within {reserves.turn:g} s"
     )
 
 
 def _name_reserves(trials: Sequence[Trial]) -> str:
-    names = list(dict.fromkeys(SHARES.get(trial.halvings, f"1/{2**trial.halvings}") for trial in trials))
+    names = list(
+        dict.fromkeys(SHARES.get(trial.attempt.halvings, f"1/{2**trial.attempt.halvings}") for trial in trials)
+    )
     return f"{' or '.join(names)} of the planner's reserves"
 
 

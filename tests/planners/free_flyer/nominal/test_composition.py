@@ -13,9 +13,9 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import build_scenario
 from planners.budget import Work
 from planners.free_flyer.frame import find_frame
-from planners.free_flyer.nominal.composition import add_waits, compose_objects, is_large
 from planners.free_flyer.nominal.event_sequence import compute_speed_caps, find_own
 from planners.free_flyer.nominal.leg_times import Wait
+from planners.free_flyer.nominal.several_objects.composition import add_corrections, compose_objects, is_large
 from planners.free_flyer.nominal.task import CompositionOptions, NominalTask, PlanOptions
 from planners.free_flyer.nominal.word_grid import WordGrid
 from planners.free_flyer.reserves import Reserves
@@ -83,7 +83,7 @@ def test_with_the_alternatives_kept_more_time_between_events_costs_no_search(tas
     assert found is not None
     times = found.reduce_cost(0.2).sequence.times
     wait = Wait(1, 2, float(times[2] - times[1]) + 1.0)
-    later = add_waits(found, (wait,), 60.0).reduce_cost(0.2).sequence
+    later = add_corrections(found, (wait,), 60.0).reduce_cost(0.2).sequence
     assert later.times[2] - later.times[1] >= wait.seconds - 0.11
     assert later.hitters == found.reduce_cost(0.2).sequence.hitters
 

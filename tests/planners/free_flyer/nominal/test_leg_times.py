@@ -6,8 +6,10 @@ from scipy.optimize import linprog
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import build_scenario
-from planners.free_flyer.nominal.leg_times import compute_least_time
+from planners.free_flyer.nominal.leg_times import compute_least_time, find_rooms
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
+from planners.free_flyer.reserves import Reserves
+from planners.plan import PlannedImpact
 
 STRENGTH, FASTEST = 0.05, 0.3
 
@@ -71,3 +73,28 @@ def test_impacts_too_quick_for_their_robot_are_given_more_time() -> None:
     plan = make_free_flyer_plan(_lone_robot())
     assert plan.robustness >= 0.28
     assert plan.validated
+
+
+def test_room_is_what_reaching_the_velocity_of_an_impact_takes() -> None:
+    """A robot that flies down at v came from v^2 / (2 a) above, and needs as much between itself and the edge."""
+    scenario, reserves = _lone_robot(), Reserves()
+    robot = scenario.robots["snap"]
+    strength = reserves.acceleration(robot)
+    way = 0.2**2 / (2.0 * strength)
+    nearest = 4.0 - robot.radius - reserves.wall - way
+    for place, cramped in ((nearest - 1e-6, False), (nearest + 1e-6, True)):
+        impact = PlannedImpact(
+            time=10.0,
+            robot="snap",
+            object="pop",
+            position=np.array([2.0, place - 0.3]),
+            contact=np.array([2.0, place]),
+            normal=np.array([0.0, -1.0]),
+            robot_minus=np.array([0.0, -0.2]),
+            robot_plus=np.zeros(2),
+            object_minus=np.zeros(2),
+            object_plus=np.array([0.0, -0.1]),
+        )
+        rooms = find_rooms(scenario, [impact], reserves, 1.0)
+        assert [(room.axis, room.sign) for room in rooms] == [(1, 1.0)] * cramped
+        assert all(room.bound == pytest.approx(nearest) for room in rooms)

@@ -7,7 +7,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import load_scenario
 from planners import make_plan
 from planners.free_flyer.nominal.event_sequence import own_events
-from planners.free_flyer.nominal.sequence_search import restrict_to_object
+from planners.free_flyer.nominal.several_objects.sequence_search import restrict_to_object
 from planners.plan import Plan
 from tests.frozen.freeze import get_plan
 

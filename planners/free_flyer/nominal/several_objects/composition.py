@@ -21,8 +21,8 @@ from planners.free_flyer.nominal.clearance_rows import add_clearance_rows, solve
 from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import ANYBODY, Word
 from planners.free_flyer.nominal.least_cost import read_word, straighten_flight
-from planners.free_flyer.nominal.leg_times import Wait
-from planners.free_flyer.nominal.sequence_search import list_parts_about
+from planners.free_flyer.nominal.leg_times import Correction
+from planners.free_flyer.nominal.several_objects.sequence_search import list_parts_about
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.word_grid import WordGrid
 from planners.free_flyer.specification.direction import DIRECTIONS
@@ -36,7 +36,7 @@ NEAR = 1e-6  # of given numbers, so that rounded rows hold [m, s]
 
 
 @dataclass(frozen=True)
-class _Done:
+class Done:
     """Hold what is given of the objects done so far.
 
     Args:
@@ -77,17 +77,17 @@ def compose_objects(
         return None  # objects that fly while others are hit need straight flights
     for order in itertools.permutations(numbers):
         try:
-            done = _Done((), np.zeros(0), {name: np.zeros((0, 2)) for name in task.scenario.bodies})
+            done = Done((), np.zeros(0), {name: np.zeros((0, 2)) for name in task.scenario.bodies})
             for place, name in enumerate(order):
                 later = sum(numbers[other] for other in order[place + 1 :])
                 allowed = range(numbers[name], max_impacts - len(done.word) - later + 1)
-                done = _append(task, done, order[: place + 1], allowed, pieces, rho[0], find_time_left, options)
+                done = append_object(task, done, order[: place + 1], allowed, pieces, rho[0], find_time_left, options)
         except PlanningError:
             if find_time_left() <= 0.0:
                 return None
             continue
         try:
-            return _free(task, done, pieces, (options.least, rho[1]), find_time_left())
+            return free_numbers(task, done, pieces, (options.least, rho[1]), find_time_left())
         except PlanningError:
             continue
     return None
@@ -108,16 +108,16 @@ def is_large(task: NominalTask, numbers: Mapping[str, int], pieces: int, options
     return sum(grid.model.integer) > options.compose.binaries
 
 
-def _append(
+def append_object(
     task: NominalTask,
-    done: _Done,
+    done: Done,
     objects: Sequence[str],
     allowed: range,
     pieces: int,
     rho: float,
     find_time_left: Callable[[], float],
     options: PlanOptions,
-) -> _Done:
+) -> Done:
     """Return what is done with the impacts of one more object, the last of `objects`, as early as may be.
 
     Its impacts come after all others or, where they find no time there, while another object flies.
@@ -133,7 +133,7 @@ def _append(
         PlanningError: no such impacts were found.
     """
     failure: PlanningError = SolverFailed("composition", "no time or number of impacts is left", "raise the limits")
-    demands = _restrict_demands(task, objects)
+    demands = restrict_demands(task, objects)
     numbers, gaps = allowed[: options.compose.more_impacts + 1], range(len(done.word), -1, -1)
     for impacts, gap in itertools.product(numbers, gaps):
         limit = find_time_left()
@@ -149,7 +149,7 @@ def _append(
 def _append_impacts(
     task: NominalTask,
     demands: Demands,
-    done: _Done,
+    done: Done,
     name: str,
     impacts: int,
     gap: int,
@@ -157,7 +157,7 @@ def _append_impacts(
     rho: float,
     limit: float,
     options: PlanOptions,
-) -> _Done:
+) -> Done:
     """Return what is done with so many impacts of an object after the first few (`gap`) of the others."""
     scenario, chosen = task.scenario, options.compose
     word = (*done.word[:gap], *((ANYBODY, name),) * impacts, *done.word[gap:])
@@ -167,7 +167,7 @@ def _append_impacts(
     _pin_later(grid, done, gap, impacts, name)
     add_demands(grid, demands, scenario.control_period, passing=True)
     first = gap * pieces
-    add_clearance_rows(grid, scenario, task.reserves, _list_places(scenario, range(first, grid.count)))
+    add_clearance_rows(grid, scenario, task.reserves, list_places(scenario, range(first, grid.count)))
     last = grid.times[(gap + impacts) * pieces]
     assert isinstance(last, Affine)
     grid.model.objective = last
@@ -177,16 +177,16 @@ def _append_impacts(
         return solve(grid.model, seconds, chosen.gap, task.solver, work=task.work, nodes=chosen.nodes).x
 
     x = solve_apart(grid, scenario, task.reserves, solve_once)
-    return _read(grid, read_word(grid, x), x)
+    return read_done(grid, read_word(grid, x), x)
 
 
-def _read(grid: EventGrid, word: Word, x: np.ndarray) -> _Done:
+def read_done(grid: EventGrid, word: Word, x: np.ndarray) -> Done:
     last = len(word) * grid.pieces
     times = evaluate(grid.times[:: grid.pieces], x)[1:-1]
-    return _Done(word, times, {name: evaluate(knots[: last + 1], x) for name, knots in grid.knots.items()})
+    return Done(word, times, {name: evaluate(knots[: last + 1], x) for name, knots in grid.knots.items()})
 
 
-def _free(task: NominalTask, done: _Done, pieces: int, rho: tuple[float, float], limit: float) -> WordGrid:
+def free_numbers(task: NominalTask, done: Done, pieces: int, rho: tuple[float, float], limit: float) -> WordGrid:
     """Return the grid of a word and its most robust point with the alternatives that the given numbers take.
 
     Raises:
@@ -195,7 +195,7 @@ def _free(task: NominalTask, done: _Done, pieces: int, rho: tuple[float, float],
     size = GridSize(len(done.word), pieces, passing=True)
     grid, choices = replace(task, sharp=True).build(size, rho, done.word)
     grid = replace(grid, axes=DIRECTIONS)
-    add_clearance_rows(grid, task.scenario, task.reserves, _list_places(task.scenario, range(grid.count)))
+    add_clearance_rows(grid, task.scenario, task.reserves, list_places(task.scenario, range(grid.count)))
     model = grid.model
     bounds = list(model.lower), list(model.upper)
     _pin(grid, done, len(done.word))
@@ -210,33 +210,32 @@ def _free(task: NominalTask, done: _Done, pieces: int, rho: tuple[float, float],
     return WordGrid(task, grid, choices, solve(model, limit, solver=task.solver, work=task.work).x)
 
 
-def add_waits(found: WordGrid, waits: Iterable[Wait], time_limit: float) -> WordGrid:
-    """Return a grid whose alternatives are given, with more time on some legs, and its most robust point.
+def add_corrections(found: WordGrid, corrections: Iterable[Correction], time_limit: float) -> WordGrid:
+    """Return a grid whose alternatives are given, with more time or room at some events, and its most robust point.
 
     Args:
         found: the grid; it gets the rows.
-        waits: least times between events.
+        corrections: least times between events, and room for impacts.
         time_limit: wall time [s].
 
     Raises:
-        Infeasible: there is not so much time.
+        Infeasible: there is not so much time or room.
     """
     grid, task = found.grid, found.task
-    events = grid.times[:: grid.pieces]
-    for wait in waits:
-        grid.model.require(wait.seconds - (events[wait.second] - events[wait.first]))
+    for correction in corrections:
+        correction.add_to(grid)
     return replace(found, x=solve(grid.model, time_limit, solver=task.solver, work=task.work).x)
 
 
-def _pin(grid: EventGrid, done: _Done, events: int) -> None:
+def _pin(grid: EventGrid, done: Done, events: int) -> None:
     """Bound times and places closely around their given numbers, up to so many events."""
-    _bound(grid.model, grid.times[grid.pieces :: grid.pieces], done.times[:events])
+    bound_values(grid.model, grid.times[grid.pieces :: grid.pieces], done.times[:events])
     for name, places in done.knots.items():
         for d in range(2):
-            _bound(grid.model, [knot[d] for knot in grid.knots[name]], places[: events * grid.pieces + 1, d])
+            bound_values(grid.model, [knot[d] for knot in grid.knots[name]], places[: events * grid.pieces + 1, d])
 
 
-def _pin_later(grid: EventGrid, done: _Done, gap: int, impacts: int, name: str) -> None:
+def _pin_later(grid: EventGrid, done: Done, gap: int, impacts: int, name: str) -> None:
     """Keep the other objects on their given flights during the impacts of one, and after these; robots are free.
 
     Args:
@@ -249,7 +248,7 @@ def _pin_later(grid: EventGrid, done: _Done, gap: int, impacts: int, name: str) 
     if gap == len(done.word):
         return
     times = grid.times[:: grid.pieces]
-    _bound(grid.model, times[gap + impacts + 1 :], done.times[gap:])
+    bound_values(grid.model, times[gap + impacts + 1 :], done.times[gap:])
     before, after = (np.concatenate([[0.0], done.times])[k] for k in (gap, gap + 1))
     for other in grid.objects:
         if other == name:
@@ -262,10 +261,10 @@ def _pin_later(grid: EventGrid, done: _Done, gap: int, impacts: int, name: str) 
                 grid.model.require(miss - NEAR)
                 grid.model.require(-miss - NEAR)
         for d in range(2):
-            _bound(grid.model, [place[d] for place in path[gap + impacts + 1 :]], places[gap + 1 :, d])
+            bound_values(grid.model, [place[d] for place in path[gap + impacts + 1 :]], places[gap + 1 :, d])
 
 
-def _bound(model: Model, expressions: Sequence[Affine | float], values: np.ndarray) -> None:
+def bound_values(model: Model, expressions: Sequence[Affine | float], values: np.ndarray) -> None:
     """Bound those expressions that are variables."""
     for expression, value in zip(expressions, values, strict=False):
         if isinstance(expression, Affine) and list(expression.coefficients.values()) == [1.0]:
@@ -275,12 +274,12 @@ def _bound(model: Model, expressions: Sequence[Affine | float], values: np.ndarr
             model.upper[index] = min(model.upper[index], place + NEAR)
 
 
-def _list_places(scenario: FreeFlyerScenario, pieces: range) -> Iterator[tuple[str, str, int]]:
+def list_places(scenario: FreeFlyerScenario, pieces: range) -> Iterator[tuple[str, str, int]]:
     for pair, piece in itertools.product(itertools.combinations(scenario.bodies, 2), pieces):
         yield (*pair, piece)
 
 
-def _restrict_demands(task: NominalTask, objects: Sequence[str]) -> Demands:
+def restrict_demands(task: NominalTask, objects: Sequence[str]) -> Demands:
     """Return what is demanded of robots and some objects."""
     scenario = task.scenario
     parts = tuple(list_parts_about(scenario.specification.expand(scenario.bodies), {*scenario.robots, *objects}))

@@ -1,0 +1,49 @@
+"""One attempt at a plan: how much it keeps in hand, and how many pieces and impacts it may have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from planners.free_flyer.nominal.task import NominalTask, PlanOptions
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """Describe an attempt.
+
+    Args:
+        pieces: numbers of pieces per leg.
+        halvings: how often the reserves are halved.
+        few: whether only few impacts of each object are tried.
+        brisk: whether robots may take longer to reach the speed of a leg, so that legs are faster.
+    """
+
+    pieces: tuple[int, ...]
+    halvings: int = 0
+    few: bool = False
+    brisk: bool = False
+
+    def cut_reserves(self, task: NominalTask, options: PlanOptions) -> NominalTask:
+        """Return the task with the reserves of this attempt.
+
+        Args:
+            task: with all reserves.
+            options: how much longer brisk robots take.
+        """
+        for _ in range(self.halvings):
+            task = replace(task, reserves=replace(task.reserves.halved(), underway=1.0))
+        if self.brisk:
+            task = replace(task, reserves=replace(task.reserves, turn=options.brisk * task.reserves.turn))
+        return task
+
+    def is_slow(self, task: NominalTask) -> bool:
+        """Return whether thrust limits the legs of some robot, rather than its speed limit."""
+        reserves = task.reserves
+        for _ in range(self.halvings):
+            reserves = reserves.halved()
+        robots = task.scenario.robots.values()
+        return any(reserves.cruise(robot) < reserves.speed * robot.speed_limit for robot in robots)
+
+    def may_improve(self, several: bool) -> bool:
+        """Return whether it is worth the time where there is a plan of less robustness than impacts have."""
+        return not self.brisk and len(self.pieces) > 1 and self.few == several
