@@ -201,7 +201,7 @@ def open_filters(plan: PlanTable, memory: WorldMemory, options: Options, k: int)
     sensor.sigma, sensor.weight, sensor.square, sensor.samples = options.estimation.position_prior, 0.0, 0.0, 0
 
 
-@compiled
+@inlined
 def update_estimates(
     plan: PlanTable, memory: WorldMemory, options: Options, k: int, joint: np.ndarray, now: float
 ) -> None:
@@ -367,7 +367,7 @@ def apply_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
         add_jump(b if body == 0 else a, ago * dx, ago * dy, dx, dy, sigma * h, sigma)
 
 
-@compiled
+@inlined
 def learn_noise(memory: WorldMemory, options: Options, k: int, joint: np.ndarray, robots: int, calm: bool) -> None:
     """Update the estimate of the noise by the third difference of the objects' positions, unless something happened."""
     sensor, objects = memory.sensor[k], memory.recent.shape[1]

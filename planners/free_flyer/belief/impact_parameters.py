@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, inlined
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.world_memory import NOBODY, WorldMemory
@@ -93,7 +93,7 @@ def compute_gain_spread(memory: WorldMemory, options: Options, k: int, r: int, o
     return math.sqrt(max(variance, 0.0))
 
 
-@compiled
+@inlined
 def learn_velocity_error(memory: WorldMemory, options: Options, k: int, i: int, square: float, variance: float) -> None:
     """Learn the variance of body i's velocity after a control period about what its filter predicts.
 
@@ -109,7 +109,7 @@ def learn_velocity_error(memory: WorldMemory, options: Options, k: int, i: int, 
     memory.velocity_error[k, i] += weight * (max(square / 2.0 - variance, 0.0) - memory.velocity_error[k, i])
 
 
-@compiled
+@inlined
 def watch_recoil(memory: WorldMemory, options: Options, k: int, o: int, now: float) -> None:
     """Observe the change of velocity of the robot that hit object o; keep the observation with the least variance.
 

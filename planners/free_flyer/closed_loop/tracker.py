@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from impact_envs.compiled import compiled, inlined
+from impact_envs.compiled import inlined
 from planners.free_flyer.belief.options import BY_LQR, BY_MPC, Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.thruster import find_thruster
@@ -19,7 +19,7 @@ from planners.free_flyer.tracking.lqr import solve_lqr
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT, NO_JUMP, STAGES, Workspace, solve_tracking
 
 
-@compiled
+@inlined
 def track_course(
     plan: PlanTable,
     memory: WorldMemory,
@@ -134,7 +134,7 @@ def feed_back(
     solve_lqr(workspace.state[c], reference, ax, ay, plan.pilot[r], actions[k, r])
 
 
-@compiled
+@inlined
 def fill_reference(plan: PlanTable, memory: WorldMemory, workspace: Workspace, c: int, k: int, r: int, o: int) -> None:
     """Sample robot r's course at the nodes of the horizon, with the feed-forward forces that reproduce its velocities.
 

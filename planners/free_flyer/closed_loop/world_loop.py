@@ -76,7 +76,7 @@ def adopt_world(plan: PlanTable, memory: WorldMemory, options: Options, k: int) 
         return_robot(plan, memory, options, k, r, now, now)
 
 
-@compiled
+@inlined
 def observe_world(
     plan: PlanTable, memory: WorldMemory, options: Options, qp: RestQP, c: int, k: int, joint: np.ndarray
 ) -> int:
@@ -101,7 +101,7 @@ def observe_world(
     return find_due(plan, memory, options, k, now)
 
 
-@compiled
+@inlined
 def remember_positions(plan: PlanTable, memory: WorldMemory, k: int, now: float) -> None:
     """Store the estimated positions of world k's bodies every half second."""
     at = int(now / PAST_PERIOD + ROUND_OFF)
@@ -111,7 +111,7 @@ def remember_positions(plan: PlanTable, memory: WorldMemory, k: int, now: float)
             memory.past[k, at, i, 0], memory.past[k, at, i, 1] = position[0], position[1]
 
 
-@compiled
+@inlined
 def control_world(
     plan: PlanTable, memory: WorldMemory, options: Options, workspace: Workspace, c: int, k: int, actions: np.ndarray
 ) -> None:
@@ -209,39 +209,46 @@ def should_replan(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     return settled and near and due and now <= time - options.timing.replan_last + ROUND_OFF
 
 
-@compiled
+@inlined
 def look_ahead(plan: PlanTable, memory: WorldMemory, options: Options, qp: RestQP, c: int, k: int, now: float) -> None:
     """Move or insert the coming impacts of world k, where options say so and the objects' flight is known."""
     for o in range(len(plan.first)):
         strike = memory.strike[k, o]
         settled = now >= strike.last_contact + options.timing.settle - ROUND_OFF
-        if not settled or strike.is_inserted or now < strike.looked_at + options.timing.replan_period - ROUND_OFF:
-            continue
-        strike.looked_at = now
-        # Times and places of the plan stay while it promises success with them.
-        answered = is_answered(plan, memory, options, k, o)
-        kept = answered or (strike.index != NO_IMPACT and is_promised(plan, memory, k, o))
-        if not kept and options.reoptimise and strike.last_contact > strike.optimised_at and strike.index != NO_IMPACT:
-            strike.optimised_at = now
-            if reoptimise_rest(plan, memory, options, qp, c, k, o, now):
-                memory.counts[k].reoptimised += 1
-                set_clocks(plan, memory, options, k, now)
-            else:
-                memory.counts[k].no_optimum += 1
-                # Its rows are on the safe side: a new plan is wanted only if the flight goes astray, but then sooner.
-                strike.astray_since = min(
-                    strike.astray_since, now - options.insertion.long_astray + options.insertion.soon
-                )
-        if (
-            not kept
-            and options.retime
-            and strike.last_contact > 0.0
-            and strike.index != NO_IMPACT
-            and may_move(plan, memory, options, k, o, now)
-        ):
-            retime_impact(plan, memory, options, k, o, now)
-        if options.insert and strike.last_contact > 0.0 and not answered:
-            insert_impact(plan, memory, options, k, o, now)
+        due = now >= strike.looked_at + options.timing.replan_period - ROUND_OFF
+        if settled and due and not strike.is_inserted:
+            reconsider_impact(plan, memory, options, qp, c, k, o, now)
+
+
+@compiled
+def reconsider_impact(
+    plan: PlanTable, memory: WorldMemory, options: Options, qp: RestQP, c: int, k: int, o: int, now: float
+) -> None:
+    """Move the coming impact of object o, or insert one, where options say so."""
+    strike = memory.strike[k, o]
+    strike.looked_at = now
+    # Times and places of the plan stay while it promises success with them.
+    answered = is_answered(plan, memory, options, k, o)
+    kept = answered or (strike.index != NO_IMPACT and is_promised(plan, memory, k, o))
+    if not kept and options.reoptimise and strike.last_contact > strike.optimised_at and strike.index != NO_IMPACT:
+        strike.optimised_at = now
+        if reoptimise_rest(plan, memory, options, qp, c, k, o, now):
+            memory.counts[k].reoptimised += 1
+            set_clocks(plan, memory, options, k, now)
+        else:
+            memory.counts[k].no_optimum += 1
+            # Its rows are on the safe side: a new plan is wanted only if the flight goes astray, but then sooner.
+            strike.astray_since = min(strike.astray_since, now - options.insertion.long_astray + options.insertion.soon)
+    if (
+        not kept
+        and options.retime
+        and strike.last_contact > 0.0
+        and strike.index != NO_IMPACT
+        and may_move(plan, memory, options, k, o, now)
+    ):
+        retime_impact(plan, memory, options, k, o, now)
+    if options.insert and strike.last_contact > 0.0 and not answered:
+        insert_impact(plan, memory, options, k, o, now)
 
 
 @compiled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, inlined
 from planners.free_flyer.belief.drift import find_motion, mix_variance
 from planners.free_flyer.belief.impact_parameters import (
     UNSEEN,
@@ -172,7 +172,7 @@ def return_robot(
     memory.counts[k].replans += 1
 
 
-@compiled
+@inlined
 def remember_before(plan: PlanTable, memory: WorldMemory, k: int) -> None:
     """Store the objects' velocities before the impact that may come now."""
     for o in range(len(plan.first)):
@@ -217,33 +217,38 @@ def take_contact(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     set_clocks(plan, memory, options, k, now)
 
 
-@compiled
+@inlined
 def take_misses(plan: PlanTable, memory: WorldMemory, options: Options, k: int, now: float) -> None:
     """Retry the impacts that are overdue, or give them up."""
     for o in range(len(plan.first)):
-        strike = memory.strike[k, o]
-        if now <= strike.time + options.timing.patience:
-            continue
-        index, r = strike.index, strike.robot
-        useless = strike.outcome == Outcome.NOT_NEEDED or strike.outcome == Outcome.OUT_OF_REACH
-        hopeless = strike.is_solved and useless
-        again = not strike.is_inserted and not hopeless and strike.misses < options.timing.retries
-        if again and options.retime and now + options.timing.retry_in < plan.horizon:
-            strike.misses, strike.replanned_at = strike.misses + 1, -math.inf
-            set_time(plan, memory, k, o, index, now + options.timing.retry_in)
-            memory.counts[k].retry += 1
-        else:
-            tau = min(read_clock(memory.course[k, r], now), memory.course[k, r].stop)
-            if not strike.is_inserted:
-                tau = plan.impact[index].time
-                index = plan.impact[index].next
-            await_impact(plan, memory, options, k, o, index, now)
-            return_robot(plan, memory, options, k, r, now, tau)
-            memory.counts[k].give_up += 1
-        set_clocks(plan, memory, options, k, now)
+        if now > memory.strike[k, o].time + options.timing.patience:
+            take_miss(plan, memory, options, k, o, now)
 
 
 @compiled
+def take_miss(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, now: float) -> None:
+    """Retry the impact on object o, which is overdue, or give it up."""
+    strike = memory.strike[k, o]
+    index, r = strike.index, strike.robot
+    useless = strike.outcome == Outcome.NOT_NEEDED or strike.outcome == Outcome.OUT_OF_REACH
+    hopeless = strike.is_solved and useless
+    again = not strike.is_inserted and not hopeless and strike.misses < options.timing.retries
+    if again and options.retime and now + options.timing.retry_in < plan.horizon:
+        strike.misses, strike.replanned_at = strike.misses + 1, -math.inf
+        set_time(plan, memory, k, o, index, now + options.timing.retry_in)
+        memory.counts[k].retry += 1
+    else:
+        tau = min(read_clock(memory.course[k, r], now), memory.course[k, r].stop)
+        if not strike.is_inserted:
+            tau = plan.impact[index].time
+            index = plan.impact[index].next
+        await_impact(plan, memory, options, k, o, index, now)
+        return_robot(plan, memory, options, k, r, now, tau)
+        memory.counts[k].give_up += 1
+    set_clocks(plan, memory, options, k, now)
+
+
+@inlined
 def learn_from_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: int, now: float) -> None:
     """Compare the change of velocity that each object's last impact made with the commanded one.
 
@@ -291,7 +296,7 @@ def learn_from_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: i
         relearn_pairs(memory, options, k)
 
 
-@compiled
+@inlined
 def find_due(plan: PlanTable, memory: WorldMemory, options: Options, k: int, now: float) -> int:
     """Return the object whose coming impact's correction is to be decided now, or NO_OBJECT."""
     for o in range(len(plan.first)):

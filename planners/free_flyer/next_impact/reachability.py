@@ -89,10 +89,11 @@ def is_reachable(
     z, pilot = memory.filter[k, r], plan.pilot[r]
     x_0, y_0, vx_0, vy_0 = z.position[0], z.position[1], z.velocity[0], z.velocity[1]
     dx, dy = x - x_0 - span / 2 * (vx + vx_0), y - y_0 - span / 2 * (vy + vy_0)
-    most = 0.0
+    most = options.reach.ease * pilot[GAIN] * pilot[INPUT_LIMIT]
     for i in range(1, 8):
         tau = i / 8.0
         way = (60.0 * tau - 180.0 * tau * tau + 120.0 * tau * tau * tau) / (span * span)
         turn = 6.0 * tau * (1.0 - tau) / span
-        most = max(most, math.hypot(way * dx + turn * (vx - vx_0), way * dy + turn * (vy - vy_0)))
-    return most <= options.reach.ease * pilot[GAIN] * pilot[INPUT_LIMIT]
+        if math.hypot(way * dx + turn * (vx - vx_0), way * dy + turn * (vy - vy_0)) > most:
+            return False
+    return True

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, inlined
+from planners.free_flyer.belief.drift import find_motion
 from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
@@ -62,7 +63,7 @@ def retime_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     while now + notice < old and not is_reachable(plan, memory, options, k, r, place_x, place_y, 0.0, 0.0, notice):
         notice += 1.0
     earliest = min(max(now + notice, plan.knot[index].opens), old)
-    best, time = compute_miss(plan, memory, options, k, o, old, old), old
+    best, time = compute_miss(plan, memory, options, k, o, old, old, math.inf), old
     arrival = compute_arrival(plan, memory, options, k, index)
     if arrival > old:
         # Its robot has to hit something else before: the impact comes when it can.
@@ -73,13 +74,13 @@ def retime_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     step = (latest - earliest) / (options.retiming.candidates - 1)
     for i in range(options.retiming.candidates):
         t = earliest + i * step
-        miss = compute_miss(plan, memory, options, k, o, t, old)
+        miss = compute_miss(plan, memory, options, k, o, t, old, best)
         if miss < best:
             best, time = miss, t
     middle = time
     for i in range(1, 2 * options.retiming.refined):
         t = min(max(middle + (i / options.retiming.refined - 1.0) * step, earliest), latest)
-        miss = compute_miss(plan, memory, options, k, o, t, old)
+        miss = compute_miss(plan, memory, options, k, o, t, old, best)
         if miss < best:
             best, time = miss, t
     if abs(time - old) > ROUND_OFF:
@@ -92,16 +93,25 @@ def retime_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int
 
 @compiled
 def compute_miss(
-    plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, time: float, old: float
+    plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, time: float, old: float, least: float
 ) -> float:
-    """Return what `retime_impact` minimises."""
-    knot = memory.strike[k, o].index
+    """Return what `retime_impact` minimises; inf where it is not below the least so far, and that is told for less."""
+    knot, pull = memory.strike[k, o].index, options.retiming.pull * (time - old) * (time - old)
+    if pull >= least or is_far(memory, k, plan.robots + o, knot, time, math.sqrt(least)):
+        return math.inf
     x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, time)
     dx, dy = x - memory.place[k, knot, 0], y - memory.place[k, knot, 1]
     outside = max(min(options.retiming.crowding, 0.4 * plan.knot[knot].depth) - compute_margin(plan, knot, x, y), 0.0)
-    return (
-        dx * dx
-        + dy * dy
-        + options.retiming.outside * outside * outside
-        + options.retiming.pull * (time - old) * (time - old)
-    )
+    return dx * dx + dy * dy + options.retiming.outside * outside * outside + pull
+
+
+@inlined
+def is_far(memory: WorldMemory, k: int, i: int, knot: int, time: float, distance: float) -> bool:
+    """Return whether body i in free flight is farther from a knot's place at a time, however it is turned then."""
+    z, h, place = memory.filter[k, i], time - memory.time[k], memory.place[k, knot]
+    p, v, a = find_motion(z)
+    dx = p.real + h * (v.real + h / 2 * a.real) - place[0]
+    dy = p.imag + h * (v.imag + h / 2 * a.imag) - place[1]
+    arm = math.sqrt(z.offset[0] * z.offset[0] + z.offset[1] * z.offset[1])
+    reach = distance + 2.0 * arm + ROUND_OFF  # the centre is seen from the centre of mass before and then
+    return dx * dx + dy * dy > reach * reach

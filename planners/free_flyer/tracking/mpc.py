@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, inlined
 from planners.free_flyer.tracking.box_qp import NEWTON_STEPS, NOT_SOLVED, VECTORS, solve_box_qp
 from planners.free_flyer.tracking.condensing import FORCES, UNKNOWNS, condense, find_unknown
 from planners.free_flyer.tracking.problem import (
@@ -91,7 +91,67 @@ def view_task(workspace: Workspace, c: int) -> TrackingTask:
     return TrackingTask(state, states, inputs, durations, int(workspace.node[c]), workspace.jump[c])
 
 
-@compiled
+class Axis(NamedTuple):
+    """What the recursion of `solve_freely` needs of one axis: numbers that stay the same at all stages.
+
+    Attributes:
+        at: 0, 1, 2 for x, y, heading.
+        pp, pv, vv: weight P of the end.
+        kp, kv: feedback K on position and velocity.
+        bp, bv: what an input changes of position and velocity over a stage, B.
+        share: 1 / (R + B' P B).
+    """
+
+    at: int
+    pp: float
+    pv: float
+    vv: float
+    kp: float
+    kv: float
+    bp: float
+    bv: float
+    share: float
+
+
+@inlined
+def read_axis(pilot: np.ndarray, at: int, h: float) -> Axis:
+    """Return one axis of a robot's problem for stages of a duration [s]."""
+    P, K, g = WEIGHT + 9 + 3 * at, FEEDBACK + 2 * at, pilot[GAIN + at]
+    pp, pv, vv, bp, bv = pilot[P], pilot[P + 1], pilot[P + 2], g * h * h / 2, g * h
+    share = 1.0 / (pilot[EFFORT + at] + bp * (pp * bp + pv * bv) + bv * (pv * bp + vv * bv))
+    return Axis(at, pp, pv, vv, pilot[K], pilot[K + 1], bp, bv, share)
+
+
+@inlined
+def step_back(
+    axis: Axis, states: np.ndarray, k: int, h: float, u: float, q: float, w: float
+) -> tuple[float, float, float]:
+    """Return B' (P c_k + p_{k+1}) and p_k of `solve_freely` for one axis, from p_{k+1} = (q, w) and feed-forward u."""
+    position, speed = states[k, axis.at], states[k, 3 + axis.at]
+    cp = position + h * speed + axis.bp * u - states[k + 1, axis.at]
+    cv = speed + axis.bv * u - states[k + 1, 3 + axis.at]
+    if cp == 0.0 and cv == 0.0 and q == 0.0 and w == 0.0:  # a reference that rests, as every heading does
+        return 0.0, q, w
+    q, w = q + axis.pp * cp + axis.pv * cv, w + axis.pv * cp + axis.vv * cv
+    along = axis.bp * q + axis.bv * w
+    q, w = (
+        (1.0 - axis.bp * axis.kp) * q - axis.bv * axis.kp * w,
+        (h - axis.bp * axis.kv) * q + (1.0 - axis.bv * axis.kv) * w,
+    )
+    return along, q, w
+
+
+@inlined
+def step_on(
+    axis: Axis, states: np.ndarray, k: int, h: float, feed: float, along: float, position: float, speed: float
+) -> tuple[float, float, float]:
+    """Return the input of stage k in one axis, and position and velocity after it."""
+    d = -axis.kp * (position - states[k, axis.at]) - axis.kv * (speed - states[k, 3 + axis.at]) - axis.share * along
+    u = feed + d
+    return u, position + h * speed + axis.bp * u, speed + axis.bv * u
+
+
+@inlined
 def solve_freely(workspace: Workspace, c: int, pilot: np.ndarray) -> bool:
     r"""Solve the MPC without limits and without an impact in the horizon, by its Riccati recursion.
 
@@ -99,7 +159,7 @@ def solve_freely(workspace: Workspace, c: int, pilot: np.ndarray) -> bool:
     d_k = -K e_k - B' (P c_k + p_{k+1}) / (R + B' P B)
 
     P is the same at all stages, because the end is weighted by it; so it is for each axis in the world frame, where
-    the weights of x and y are equal.
+    the weights of x and y are equal. The axes go side by side, because each waits for its own stage before.
 
     Args:
         workspace: with the reference filled in; ``solution`` is written.
@@ -110,45 +170,30 @@ def solve_freely(workspace: Workspace, c: int, pilot: np.ndarray) -> bool:
         Whether the inputs are within the limits, and so solve the MPC.
     """
     state, states, inputs = workspace.state[c], workspace.states[c], workspace.inputs[c]
-    offset, feed, solution = workspace.Z[c, 0], workspace.Z[c, 1], workspace.solution[c]
+    feed, along, solution = workspace.Z[c, :3], workspace.Z[c, 3:], workspace.solution[c]
     cos, sin, h = math.cos(state[2]), math.sin(state[2]), workspace.durations[c, 0]
-    for axis in range(3):
-        P, K, g = WEIGHT + 9 + 3 * axis, FEEDBACK + 2 * axis, pilot[GAIN + axis]
-        pp, pv, vv, kp, kv = pilot[P], pilot[P + 1], pilot[P + 2], pilot[K], pilot[K + 1]
-        bp, bv = g * h * h / 2, g * h
-        q, w = 0.0, 0.0
-        for k in range(STAGES - 1, -1, -1):
-            u = inputs[k, 2]
-            if axis == 0:
-                u = cos * inputs[k, 0] - sin * inputs[k, 1]
-            elif axis == 1:
-                u = sin * inputs[k, 0] + cos * inputs[k, 1]
-            position, speed = states[k, axis], states[k, 3 + axis]
-            cp = position + h * speed + bp * u - states[k + 1, axis]
-            cv = speed + bv * u - states[k + 1, 3 + axis]
-            feed[k], offset[k] = u, 0.0
-            if cp == 0.0 and cv == 0.0 and q == 0.0 and w == 0.0:  # a reference that rests, as every heading does
-                continue
-            q, w = q + pp * cp + pv * cv, w + pv * cp + vv * cv
-            offset[k] = bp * q + bv * w
-            q, w = (1.0 - bp * kp) * q - bv * kp * w, (h - bp * kv) * q + (1.0 - bv * kv) * w
-        share = 1.0 / (pilot[EFFORT + axis] + bp * (pp * bp + pv * bv) + bv * (pv * bp + vv * bv))
-        position, speed = state[axis], state[3 + axis]
-        for k in range(STAGES):
-            d = -kp * (position - states[k, axis]) - kv * (speed - states[k, 3 + axis]) - share * offset[k]
-            u = feed[k] + d
-            position, speed = position + h * speed + bp * u, speed + bv * u
-            solution[3 * k + axis] = u
+    x, y, turn = read_axis(pilot, 0, h), read_axis(pilot, 1, h), read_axis(pilot, 2, h)
+    qx, wx, qy, wy, qt, wt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(STAGES - 1, -1, -1):
+        feed[0, k] = cos * inputs[k, 0] - sin * inputs[k, 1]
+        feed[1, k] = sin * inputs[k, 0] + cos * inputs[k, 1]
+        feed[2, k] = inputs[k, 2]
+        along[0, k], qx, wx = step_back(x, states, k, h, feed[0, k], qx, wx)
+        along[1, k], qy, wy = step_back(y, states, k, h, feed[1, k], qy, wy)
+        along[2, k], qt, wt = step_back(turn, states, k, h, feed[2, k], qt, wt)
+    px, py, pt, vx, vy, vt = state[0], state[1], state[2], state[3], state[4], state[5]
     for k in range(STAGES):
-        x, y = solution[3 * k], solution[3 * k + 1]
-        solution[3 * k], solution[3 * k + 1] = cos * x + sin * y, cos * y - sin * x
+        ux, px, vx = step_on(x, states, k, h, feed[0, k], along[0, k], px, vx)
+        uy, py, vy = step_on(y, states, k, h, feed[1, k], along[1, k], py, vy)
+        ut, pt, vt = step_on(turn, states, k, h, feed[2, k], along[2, k], pt, vt)
+        solution[3 * k], solution[3 * k + 1], solution[3 * k + 2] = cos * ux + sin * uy, cos * uy - sin * ux, ut
         for i in range(3):
             if not abs(solution[3 * k + i]) <= pilot[INPUT_LIMIT + i]:
                 return False
     return True
 
 
-@compiled
+@inlined
 def solve_tracking(workspace: Workspace, c: int, pilot: np.ndarray) -> bool:
     """Solve the MPC in thread c's workspace.
 
@@ -162,6 +207,12 @@ def solve_tracking(workspace: Workspace, c: int, pilot: np.ndarray) -> bool:
     """
     if pilot[ENDLESS] == 1.0 and workspace.node[c] == NO_JUMP and solve_freely(workspace, c, pilot):
         return True
+    return solve_in_limits(workspace, c, pilot)
+
+
+@compiled
+def solve_in_limits(workspace: Workspace, c: int, pilot: np.ndarray) -> bool:
+    """Solve the MPC as a QP: `solve_tracking` where a limit binds or an impact comes."""
     H, g, inputs = workspace.H[c], workspace.vectors[c, 0], workspace.inputs[c]
     lower, upper, x = workspace.vectors[c, 1], workspace.vectors[c, 2], workspace.vectors[c, 3]
     condense(

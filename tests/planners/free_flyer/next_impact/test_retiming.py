@@ -12,7 +12,7 @@ from planners.free_flyer.belief.impact_parameters import compute_pair_gain
 from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options, make_record
 from planners.free_flyer.belief.plan_table import NO_IMPACT
 from planners.free_flyer.next_impact.reachability import compute_leg_speed, is_reachable
-from planners.free_flyer.next_impact.retiming import compute_reserve
+from planners.free_flyer.next_impact.retiming import compute_miss, compute_reserve
 from planners.free_flyer.tracking.course import COURSE, evaluate_course, fit_quintic
 from tests.planners.free_flyer.plans import K, World, load_open, make_straight_plan, set_fields
 
@@ -62,6 +62,21 @@ def test_slower_object_is_hit_later_and_faster_one_earlier_near_the_planned_plac
     assert loop.strike["time"] == loop.clock[1] == pytest.approx(comes_by, abs=0.2)
     assert loop.count("retimed") == 1
     assert loop.clock[2] == pytest.approx(comes_by + 30 * (HORIZON - comes_by) / 70, abs=0.2)  # shares what is left
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.08])
+def test_only_times_that_are_no_better_are_passed_over(offset: float) -> None:
+    loop, passed = fly(Loop(), 0.08, 0.01), 0
+    z, heading = loop.memory.filter[K, POP], loop.memory.heading[K, POP]
+    z["offset"], z["P_dd"], heading["rate"] = (0.6 * offset, -0.8 * offset), offset**2, 0.3
+    world = loop.table, loop.memory, OPTIONS, K, 0
+    for time in np.linspace(20.0, 90.0, 141).tolist():
+        miss = compute_miss(*world, time, 30.0, math.inf)
+        for least in (0.5 * miss, 0.999999 * miss, miss, 1.000001 * miss, 2.0 * miss):
+            found = compute_miss(*world, time, 30.0, least)
+            assert found == miss or (found == math.inf and miss >= least)
+            passed += found == math.inf
+    assert passed > 141
 
 
 def test_object_on_time_is_hit_as_planned() -> None:
