@@ -31,6 +31,7 @@ from impact_envs.floating_manipulator.flow import (
     make_system,
 )
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario, Physics
+from impact_envs.interface.agent_vectors import FLOAT
 from impact_envs.interface.failure import TooManyEvents, are_finite
 from impact_envs.physics.impact import Impact
 from impact_envs.physics.multibody import (
@@ -86,6 +87,8 @@ class FloatingManipulatorModel:
         self._period, self._goal = float(scenario.control_period), scenario.arm.goal
         self._sizes = {agent: len(limits) for agent, limits in scenario.largest_commands.items()}
         self._scratch, self._strike, self._command = make_scratch(self._n), np.zeros(1, STRIKE), np.zeros(self._n + 3)
+        self._rows = np.zeros((self._n + 4, 6))  # what `state` returns, but for all that moves
+        self._rows[-1, :2] = self._goal
         self.reset(scenario.as_believed().draw(np.random.default_rng(0)))
         self._bind()
 
@@ -136,9 +139,8 @@ class FloatingManipulatorModel:
             Rows x, y, vx, vy, heading, omega of base and links (centres of mass), tip, box and target,
             shape (n + 4, 6) [m], [m/s], [rad], [rad/s]. Headings are not wrapped.
         """
-        rows = np.zeros((self._n + 4, 6))
+        rows = self._rows.copy()
         self._write_rows(self._system, self._q, self._v, self._scratch, rows[:-1])
-        rows[-1, :2] = self._goal
         return rows
 
     def set_state(self, states: np.ndarray) -> None:
@@ -202,10 +204,13 @@ class FloatingManipulatorModel:
 
     def _read_controls(self, controls: Mapping[str, np.ndarray]) -> None:
         """Write the commands held over the next control period."""
-        checked = {agent: _check_control(agent, controls[agent], size) for agent, size in self._sizes.items()}
-        self._command[3:] = checked["arm"]
-        if "base" in checked:
-            self._command[:3] = checked["base"]
+        command = self._command
+        command[3:] = _read_control("arm", controls["arm"], self._n)
+        if "base" in controls:
+            command[:3] = _read_control("base", controls["base"], 3)
+        if not are_finite(command):
+            for agent, size in self._sizes.items():
+                _check_control(agent, controls[agent], size)
 
     def _advance(self, period: float) -> None:
         """Advance the state by one control period, impact by impact."""
@@ -249,6 +254,13 @@ class FloatingManipulatorModel:
         q, v = self._q.copy(), self._v.copy()
         impact = Impact(time, "tip", "box", point, _as_pair(normal), impulse, speed)
         return Collision(impact, q[:-3], v_minus[:-3], v[:-3], q[-3:], v_minus[-3:], v[-3:])
+
+
+def _read_control(agent: str, control: np.ndarray, size: int) -> np.ndarray:
+    """Return a control as an array of a size, of which no more is known."""
+    if type(control) is np.ndarray and control.dtype is FLOAT and control.shape == (size,):
+        return control
+    return _check_control(agent, control, size)
 
 
 def _check_control(agent: str, control: np.ndarray, size: int) -> np.ndarray:

@@ -55,7 +55,8 @@ class FloatingManipulatorTask:
     def __init__(self, scenario: FloatingManipulatorScenario) -> None:
         self.scenario = scenario
         n = len(scenario.links)
-        self._horizon = float(scenario.horizon)
+        self._horizon, self._agents = float(scenario.horizon), scenario.agents
+        self._period, self._thrusters = scenario.control_period, scenario.thrusters
         largest = scenario.largest_commands
         self._sizes = {name: len(limits) for name, limits in largest.items()}
         true = scenario.true
@@ -122,12 +123,12 @@ class FloatingManipulatorTask:
 
     def impulse(self, controls: Mapping[str, np.ndarray]) -> float:
         """Return the thrusters' propulsion in one control period: sum of |F| dt over the axes [N s]."""
-        thrusters = self.scenario.thrusters
+        thrusters = self._thrusters
         if thrusters is None:
             return 0.0
         x, y, _ = controls["base"].tolist()
         firing = (abs(x) > thrusters.dead_zone) + (abs(y) > thrusters.dead_zone)
-        return firing * self._physics.thruster_force * self.scenario.control_period
+        return firing * self._physics.thruster_force * self._period
 
     def sense(self, states: np.ndarray, impacts: Sequence[Impact]) -> None:
         """Take the sensors' sample of this control step.
@@ -143,7 +144,7 @@ class FloatingManipulatorTask:
         if felt:
             self._hit = felt[-1].time
         if self._hit is not None:
-            self._since = self._samples * self.scenario.control_period - self._hit
+            self._since = self._samples * self._period - self._hit
 
     def observe(self, time: float, robustness: Sequence[float]) -> dict[str, np.ndarray]:
         """Return each agent's observation.
@@ -153,11 +154,11 @@ class FloatingManipulatorTask:
             robustness: lower and upper end of each conjunct's interval still possible, finite.
         """
         vector = self.observe_jointly(time, robustness)
-        return {agent: vector.copy() for agent in self.scenario.agents}
+        return {agent: vector.copy() for agent in self._agents}
 
     def observe_jointly(self, time: float, robustness: Sequence[float]) -> np.ndarray:
         """Return the observation, which is each agent's too."""
-        vector = np.empty(self.joint_observation_space.shape)
+        vector = np.empty(self.joint_layout.size)
         states, contact = self._measured[0]
         ends = np.array(robustness, dtype=float)
         self._write_observation(states, contact, time / self._horizon, ends, self._places, vector)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from impact_envs.compiled import bind
 from impact_envs.errors import InputError, choices
 from impact_envs.stl.compiler import compile_formula, read_parts
 from impact_envs.stl.formula import Formula
@@ -70,6 +71,7 @@ class Monitor:
         self._conjuncts = np.zeros((1, 2 * len(formula.conjuncts())))
         self._sample: Any = np.zeros((1, len(self._names)))
         self._format = f"{len(self._names)}d"
+        self._bind()
         self.reset()
 
     def reset(self) -> None:
@@ -79,7 +81,7 @@ class Monitor:
         low, high = self.ends = self._possible
         self.interval = settle_tie(low), settle_tie(high)
         if self._first > 0:  # the parts say what is possible before the first sample counts
-            update_world(*self._compiled, self._memory, 0, self._sample, self._conjuncts)
+            self._update_world(*self._compiled, self._memory, 0, self._sample, self._conjuncts)
 
     @property
     def memory(self) -> np.ndarray:
@@ -143,6 +145,19 @@ class Monitor:
         if self.count >= self._first:  # no sample before it changes anything
             pack_into(self._format, self._sample, 0, *values)
             known = self._memory, self.count, self._sample, self._conjuncts
-            self.interval, self.ends = update_world(*self._compiled, *known)
+            self.interval, self.ends = self._update_world(*self._compiled, *known)
         self.count += 1
         return self.interval
+
+    def _bind(self) -> None:
+        """Find the machine code of an update; what is remembered stays."""
+        room = self._memory.copy(), 0, self._sample.copy(), self._conjuncts.copy()
+        start_monitor(self._compiled, room[0], 0)
+        self._update_world = bind(update_world, *self._compiled, *room)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_update_world"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._bind()
