@@ -17,6 +17,7 @@ from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario,
 from impact_envs.floating_manipulator.secrets import list_secrets, make_secrets_layout
 from impact_envs.floating_manipulator.signals import find_length, read_coordinates, write_signals
 from impact_envs.interface.agent_vectors import read_vectors
+from impact_envs.interface.failure import are_finite
 from impact_envs.interface.shape import Shape
 from impact_envs.observation import MOTION, Layout
 from impact_envs.physics.impact import Impact
@@ -110,9 +111,12 @@ class FloatingManipulatorTask:
         Raises:
             InputError: an agent without action, an unknown agent, or an action that is not its finite numbers.
         """
-        read, action, command = read_vectors(actions, self._sizes, "action"), self._action, self._command
+        action, command = self._action, self._command
+        read = read_vectors(actions, self._sizes, "action", finite=False)
         for agent, part in self._parts.items():
             action[part] = read[agent]
+        if not are_finite(action):  # one look at all; who is to blame is asked only then
+            read_vectors(actions, self._sizes, "action")
         self._scale_action(self._all_limits, action, command)
         self._compute_forces(self._actuators, self._v, command, self._force)
         return {agent: command[part].copy() for agent, part in self._parts.items()}
