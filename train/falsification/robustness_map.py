@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BINS = 8  # of a disturbance's range, whose mean robustness is compared
-CELLS = 16  # hexagons along an axis
+CELLS = 12  # hexagons along an axis
 
 
 def compute_importance(played: Played) -> np.ndarray:
@@ -65,7 +65,8 @@ def draw_map(arena: Arena, played: Played, found: Sequence[Counterexample], titl
     x, y = (np.array([values[key] for values in listed]) for key in keys)
     figure = Figure(figsize=(7.0, 5.2), layout="constrained")
     axes = figure.add_subplot()
-    most = max(float(np.abs(played.robustness).max()), 1e-6)
+    # Few episodes fail by far; their colour may be the same as that of others that fail clearly.
+    most = max(float(np.quantile(np.abs(played.robustness), 0.9)), 1e-6)
     cells = axes.hexbin(
         x, y, played.robustness, gridsize=CELLS, reduce_C_function=np.mean, cmap="RdBu",
         norm=TwoSlopeNorm(0.0, -most, most), linewidths=0.2,
@@ -80,8 +81,8 @@ def draw_map(arena: Arena, played: Played, found: Sequence[Counterexample], titl
         )
         axes.annotate(str(number), place, (6, 4), textcoords="offset points", color=ink)
     axes.set(xlabel=keys[0].removeprefix("true."), ylabel=keys[1].removeprefix("true."), title=title)
-    axes.legend(loc="upper right", fontsize="small")
-    figure.colorbar(cells, label=f"mean {label_robustness(formula)}")
+    figure.legend(loc="outside lower center", ncols=2, fontsize="small")
+    figure.colorbar(cells, label=f"mean {label_robustness(formula)}", extend="both")
     return figure
 
 
