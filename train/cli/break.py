@@ -43,6 +43,8 @@ class Command:
     """Threads."""
     out: Path | None = None
     """Write a copy of the scenario with a suite break_1, break_2, ... for each; every command takes it."""
+    map: Path | None = None
+    """Draw robustness over the two disturbances that explain most of it: a .png, .pdf or .svg."""
     json: bool = False
 
     def run(self) -> dict[str, Any]:
@@ -51,13 +53,19 @@ class Command:
         from train.evaluation.player import Job
         from train.falsification.arena import Arena
         from train.falsification.counterexample import find_counterexamples
+        from train.falsification.robustness_map import check_map, compute_importance, draw_map
         from train.falsification.search import SearchOptions, search_failures
         from train.falsification.suite_file import write_suites
+        from train.pictures.file import check_picture_path, save_figure
 
         self._check()
+        if self.map is not None:
+            check_picture_path(self.map)
         case = make_case(self.scenario, self.suite)
         check_request([case], [self.policy], self.episodes, self.seed, self.workers)
-        Arena(case, self.policy, WIDE, NARROW)  # refuses what cannot be searched before anything is planned
+        arena = Arena(case, self.policy, WIDE, NARROW)  # refuses what cannot be searched before anything is planned
+        if self.map is not None:
+            check_map(arena)
         (case,) = make_plans([case], [Job(0, self.policy, self.seed)])
         options = SearchOptions(self.method, self.episodes)
         with closing(Arena(case, self.policy, WIDE, NARROW, self.workers)) as arena:
@@ -67,6 +75,11 @@ class Command:
             fresh = self.seed + 100_000 + np.arange(self.fresh)
             found = find_counterexamples(arena, played, self.most, fresh)
             total = arena.episodes
+            importance = dict(zip(arena.names, compute_importance(played), strict=True))
+            if self.map is not None:
+                title = f"{self.policy} in {case.scenario.name}, {self.suite}: {searched} episodes"
+                save_figure(draw_map(arena, played, found, title, case.scenario.specification), self.map)
+                say_written(self.map)
         names = write_suites(case, self.scenario, found, self.out) if self.out else [""] * len(found)
         if self.out:
             say_written(self.out)
@@ -91,6 +104,7 @@ class Command:
             "least_robustness": float(played.robustness.min()),
             "episodes_per_minute": 60.0 * searched / max(seconds, 1e-9),
             "episodes_with_minimising": total,
+            "explains": {name: round(importance[name], 3) for name in sorted(importance, key=lambda n: -importance[n])},
             "counterexamples": rows,
         }
 

@@ -9,15 +9,18 @@ import numpy as np
 import pytest
 
 from impact_envs.errors import InputError
+from impact_envs.stl import parse
 from planners.plan import Plan
 from train.evaluation.batch_player import play_batched
 from train.evaluation.case import make_case
 from train.evaluation.player import Job
 from train.falsification.arena import Arena, Played
 from train.falsification.counterexample import Counterexample, find_counterexamples, minimise
+from train.falsification.robustness_map import compute_importance, draw_map
 from train.falsification.search import SearchOptions, search_failures
 from train.falsification.suite_file import write_suites
 from train.free_flyer.pinned_worlds import PinnedScenario
+from train.pictures.file import save_figure
 
 TUNING = 1_000_000  # first seed
 PLAN = Plan.load(Path(__file__).parents[2] / "frozen" / "plans" / "throw_and_catch.json")
@@ -62,6 +65,28 @@ def test_search_finds_rare_failures_that_chance_does_not(method):
     assert np.sum(~found.success) > 10 * np.sum(~chance.success) + 10
     (one,) = find_counterexamples(Hill(least=1.9), found, 3, np.arange(4))
     assert (one.cause, one.failure_rate, one.moved) == ("too high", 1.0, ("x", "y"))
+
+
+def test_map_is_drawn_over_what_explains_the_robustness(tmp_path):
+    arena = Hill()
+    arena.worlds.list_values = lambda places: {f"true.{n}": 2.0 * p for n, p in zip("xyz", places, strict=True)}
+    played = search_failures(arena, 0, SearchOptions("random", episodes=2000))
+    shares = compute_importance(played)
+    assert shares[2] < 0.02
+    assert shares[0] == pytest.approx(0.5, abs=0.1)
+    assert shares[1] == pytest.approx(0.5, abs=0.1)
+    found = find_counterexamples(arena, played, 3, np.arange(4))
+    figure = draw_map(arena, played, found, "a hill", parse("G[0,1] pop in goal"))
+    (axes, _) = figure.axes
+    assert {axes.get_xlabel(), axes.get_ylabel()} == {"x", "y"}
+    cells = axes.collections[0]
+    centres, means = cells.get_offsets(), cells.get_array()
+    np.testing.assert_allclose(means, 1.0 - centres.sum(axis=1) / 2.0, atol=0.15)
+    save_figure(figure, tmp_path / "map.png")
+    assert (tmp_path / "map.png").stat().st_size > 10_000
+    arena.names = ("x",)
+    with pytest.raises(InputError, match="--map: the suite draws x alone"):
+        draw_map(arena, played, found, "", parse("G[0,1] pop in goal"))
 
 
 def test_pinned_worlds_have_the_values_that_are_told():
