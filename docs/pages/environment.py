@@ -120,6 +120,12 @@ def _write_actions(env: ImpactEnv) -> str:
     )
 
 
+def _write_range(part: slice) -> str:
+    """Return the first and the last element of a part, or the only one."""
+    last = part.stop - 1
+    return f"{part.start}–{last}" if last > part.start else f"{last}"
+
+
 def _write_observations(env: ImpactEnv) -> str:
     layouts = env.task.layouts
     first, *others = env.possible_agents
@@ -132,7 +138,7 @@ def _write_observations(env: ImpactEnv) -> str:
             order = ", ".join(f"`{field}`" for field in layouts[agent].fields)
             parts.append(f"`{agent}` has the same elements with its fields in the order {order}.\n")
     joint = env.task.joint_layout
-    rows = [[f"{joint[field].start}–{joint[field].stop - 1}", f"`{field}`"] for field in joint.fields]
+    rows = [[_write_range(joint[field]), f"`{field}`"] for field in joint.fields]
     parts.append(
         f"`gymnasium.make` and `vector_env` give everything measured once, shape ({joint.size},):\n\n"
         f"{make_table(('elements', 'field'), rows)}"

@@ -67,6 +67,7 @@ class FloatingManipulatorTask:
         self._is_noisy = bool(self._noise.any())
         states = [f"{body}.{name}" for body in scenario.bodies for name in SIGNALS]
         self.signal_names = (*states, *scenario.extra_signals)
+        self._no_signals = dict.fromkeys(self.signal_names, 0.0)
         self._w, self._rates, self._values = np.zeros((n + 1, 2)), np.zeros(n + 1), np.zeros(len(self.signal_names))
         self._q, self._v, self._action, self._command, self._force = np.zeros((5, n + 3))
         parts = {"arm": slice(3, None), "base": slice(0, 3)}  # of all commands
@@ -178,7 +179,9 @@ class FloatingManipulatorTask:
         box, work = (physics.box_mass, physics.box_inertia), (self._w, self._rates)
         known = self._q, self._v, self._force[3:], felt, work, self._values
         self._write_signals(physics.chain, box, states, *known)
-        return dict(zip(self.signal_names, self._values.tolist(), strict=True))
+        signals = self._no_signals.copy()  # so large at once: it need not grow
+        signals.update(zip(self.signal_names, self._values.tolist(), strict=True))
+        return signals
 
     def signal_bounds(self) -> dict[str, tuple[float, float]]:
         """Return the bounds known beforehand: the goal is fixed, times and impulses are not negative."""

@@ -59,10 +59,9 @@ class Referee:
     def watch(self, signals: Mapping[str, float]) -> None:
         """Take the formula's next sample."""
         low, high = self.monitor.update(signals)
-        limit = self.limit
-        self.bounds = max(-limit, min(limit, low)), max(-limit, min(limit, high))
-        ends = self.monitor.conjuncts
-        self.conjuncts = [x if -limit <= x <= limit else -limit if x < -limit else limit for x in ends]
+        ends, limit = (low, high, *self.monitor.conjuncts), self.limit
+        low, high, *self.conjuncts = [x if -limit <= x <= limit else -limit if x < -limit else limit for x in ends]
+        self.bounds = low, high
 
     def fail(self) -> None:
         """Count what cannot be followed any further as the lowest robustness."""

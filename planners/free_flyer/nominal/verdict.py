@@ -72,8 +72,8 @@ def describe_reserves(task: NominalTask, halvings: int) -> str:
     return (
         f"{share} of the planner's reserves: {reserves.clearance * length:.3g} m between bodies, "
         f"{reserves.wall * length:.3g} m from walls, {first:.3g} s before, {gap:.3g} s between and "
-        f"{last:.3g} s after impacts, legs at up to {100 * reserves.speed:.0f} % of the speed limit and no faster than "
-        f"within {reserves.turn:g} s"
+        f"{last:.3g} s after impacts, robots' legs at {100 * reserves.speed:.0f} % of the speed limit, or what they "
+        f"reach within {reserves.turn:g} s"
     )
 
 
