@@ -258,10 +258,6 @@ class _Climber:
                 pass  # the plan with all reserves is left
         rough: list[Word] = []
         plans: list[Plan] = []
-
-        def is_enough() -> bool:
-            return max((plan.robustness for plan in plans), default=0.0) >= options.satisfying * optimum.rho
-
         try:
             if self.hurry and optimum.events is not None:
                 rough.append(optimum.events.sequence.hitters)
@@ -280,17 +276,13 @@ class _Climber:
             word = rough[0] if rough else optimum.events.sequence.hitters
             with suppress(PlanningError):
                 plans.append(correct_word(task, optimum, word, budget, options))
-            if not is_enough():
+            if not plans:
                 with suppress(PlanningError):
                     plans.append(plan_events(task, optimum, rough, budget, options))
-        if not is_enough():
+        if max((plan.robustness for plan in plans), default=0.0) < options.satisfying * optimum.rho:
             plans += self._plan_fewer(optimum)
-        if not is_enough():
-            try:
-                plans.append(plan_patiently(task, optimum, rough, self.failure, budget, options))
-            except PlanningError:
-                if not plans:
-                    raise
+        if not plans:
+            plans.append(plan_patiently(task, optimum, rough, self.failure, budget, options))
         return max(plans, key=lambda plan: plan.robustness)
 
     def _plan_fewer(self, optimum: RobustnessOptimum) -> list[Plan]:

@@ -76,7 +76,7 @@ def test_only_times_that_are_no_better_are_passed_over(offset: float) -> None:
             found = compute_miss(*world, time, 30.0, least)
             assert found == miss or (found == math.inf and miss >= least)
             passed += found == math.inf
-    assert passed > 141
+    assert passed > 70  # most of those with half of what it is
 
 
 def test_object_on_time_is_hit_as_planned() -> None:
