@@ -23,8 +23,6 @@ from train.settings import parse_settings
 
 DEFAULT_SUITE = "hard"
 EVALUATION_EPISODES = 2560  # between two evaluations
-SHARES = (1.0, 0.5, 0.25)  # of its corrections with which a policy is tried, until it loses no success
-LEAST_LOSS = 0.0075  # of success: a policy that loses more than this on the tuning seeds is not kept
 
 
 @dataclass
@@ -132,24 +130,3 @@ def judge(grounds: list[Ground], actor: Actor, first: int, episodes: int, worst:
         gains.append(compute_gain(played, expert, worst * ground.scale, ground.scale))
         sources.append({"scenario": ground.source.scenario, "suite": ground.source.suite, **asdict(gains[-1])})
     return {**summarise_pairs(gains), "sources": sources}
-
-
-def compute_scores(robustness: np.ndarray, scale: float, worst: float) -> np.ndarray:
-    """Return what an episode is worth to the learner: max(rho / scale, -worst), shape (E,).
-
-    Args:
-        robustness: rho, shape (E,) [m].
-        scale: unit [m].
-        worst: a failure counts no more than this.
-    """
-    return np.maximum(robustness / scale, -worst)
-
-
-def rate_evaluation(evaluation: dict[str, Any]) -> float:
-    """Return what evaluations are ordered by: the gain that is sure, of those that lose hardly any success [m]."""
-    return -math.inf if loses_success(evaluation) else evaluation["low"]
-
-
-def loses_success(evaluation: dict[str, Any]) -> bool:
-    """Return whether a policy succeeds noticeably less often than the expert."""
-    return bool(evaluation["success_rate"] < evaluation["expert_success_rate"] - LEAST_LOSS)

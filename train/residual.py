@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -28,12 +28,11 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.utils import set_random_seed
 
 from agents.actor import Actor, PolicyRecord, save_policy
-from agents.play import Played, play_episodes
+from agents.play import play_episodes
 from agents.residual import TRAINING_SEEDS
 from agents.sb3 import (
     LearningOptions,
     Statistics,
-    compute_advantages,
     compute_statistics,
     explore,
     export_actor,
@@ -47,26 +46,14 @@ from train.errors import Diverged
 from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
-from train.ground import (
-    DEFAULT_SUITE,
-    SHARES,
-    Ground,
-    compute_scores,
-    fill_args,
-    judge,
-    loses_success,
-    make_grounds,
-    rate_evaluation,
-    read_cases,
-)
+from train.ground import DEFAULT_SUITE, Ground, fill_args, judge, make_grounds, read_cases
 from train.limits import check_hidden, check_least, check_ranges, check_same
+from train.score import SHARES, compare_episodes, find_failure_cost, loses_success, rate_evaluation
 from train.settings import list_settings
 from train.watch import Watch, run_script, show_progress
 
 # Arguments that decide what a checkpoint means; a resumed run must have the same.
 FIXED = ("scenarios", "suite", "seed", "variant", "set", "worlds", "group", "hidden", "worst", "cut", "failure")
-RISE, FALL = 4.0, 0.5  # of the cost of a failure, after an evaluation that lost success, or did not
-HIGHEST = 8.0  # cost of a failure: beyond, robustness counts for nothing
 
 
 def main(args: Args, saved: Callable[[], None] | None = None) -> dict[str, Any]:
@@ -380,36 +367,6 @@ class Run:
             cpu_seconds=self.cpu_seconds,
         )
         save_policy(folder, actor, record)
-
-
-def compare_episodes(args: Args, played: Played, scale: float, failure: float) -> np.ndarray:
-    """Return how much better each episode was than the others with its seed, in robustness and success, shape (E,).
-
-    Args:
-        args: of the run: how episodes are weighed.
-        played: E episodes, those of one seed in a row.
-        scale: unit of robustness [m].
-        failure: cost of a failure beside its robustness, times the scale.
-    """
-    better = compute_advantages(compute_scores(played.robustness, scale, args.worst), args.group, args.cut)
-    return better + failure * compute_advantages(played.success.astype(float), args.group)
-
-
-def find_failure_cost(start: float, evaluations: Sequence[dict[str, Any]]) -> float:
-    """Return what a failure costs beside its robustness, after some evaluations.
-
-    Greater after each evaluation that lost success, smaller after one that did not: gains are not bought with failures.
-
-    Args:
-        start: the least cost, times the expert's median robustness.
-        evaluations: on tuning seeds, so far.
-    """
-    cost = start
-    for evaluation in evaluations:
-        if evaluation["share"] == 1.0:
-            lost = evaluation["success_rate"] < evaluation["expert_success_rate"]
-            cost = min(RISE * cost, max(start, HIGHEST)) if lost else max(start, FALL * cost)
-    return cost
 
 
 def describe_evaluation(evaluation: dict[str, Any]) -> str:

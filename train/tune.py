@@ -30,18 +30,9 @@ from train.arguments import Args, TuneArgs
 from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions
-from train.ground import (
-    DEFAULT_SUITE,
-    SHARES,
-    Ground,
-    compute_scores,
-    judge,
-    loses_success,
-    make_grounds,
-    rate_evaluation,
-    read_cases,
-)
+from train.ground import DEFAULT_SUITE, Ground, judge, make_grounds, read_cases
 from train.limits import check_least, check_ranges
+from train.score import SHARES, compute_scores, loses_success, rate_evaluation
 from train.settings import list_settings
 from train.watch import Watch, run_script, show_progress
 

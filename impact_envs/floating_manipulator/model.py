@@ -206,7 +206,7 @@ class FloatingManipulatorModel:
         """Write the commands held over the next control period."""
         command = self._command
         command[3:] = _read_control("arm", controls["arm"], self._n)
-        if "base" in controls:
+        if "base" in self._sizes:
             command[:3] = _read_control("base", controls["base"], 3)
         if not are_finite(command):
             for agent, size in self._sizes.items():

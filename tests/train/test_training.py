@@ -29,8 +29,8 @@ from train.cli.main import main as run_command
 from train.errors import Diverged
 from train.evaluation.case import EVALUATION_SEEDS, REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.paired import QUANTILE, Gain, compute_gain, compute_interquartile_mean, summarise_pairs
-from train.ground import LEAST_LOSS, compute_scores, rate_evaluation
-from train.residual import Args, check_evaluations, compare_episodes, find_failure_cost, main
+from train.residual import Args, check_evaluations, main
+from train.score import HIGHEST, LEAST_LOSS, compare_episodes, compute_scores, find_failure_cost, rate_evaluation
 
 SCORED = {"iterations": 0, "share": 1.0, "low": 0.0, "success_rate": 1.0, "expert_success_rate": 1.0}
 STEPS = 96  # three iterations and a bit: an episode of throw_and_catch asks for two corrections
@@ -522,8 +522,8 @@ def test_a_failure_costs_more_while_success_is_lost_and_less_after_it() -> None:
     lost, kept = {**SCORED, "success_rate": 0.996}, SCORED
     assert find_failure_cost(0.5, []) == 0.5
     assert find_failure_cost(0.5, [kept, lost]) == 2.0
-    assert find_failure_cost(0.5, [kept, lost, lost, lost, lost]) == residual.HIGHEST
-    assert find_failure_cost(0.5, [kept, lost, lost, kept]) == residual.HIGHEST / 2
+    assert find_failure_cost(0.5, [kept, lost, lost, lost, lost]) == HIGHEST
+    assert find_failure_cost(0.5, [kept, lost, lost, kept]) == HIGHEST / 2
     assert find_failure_cost(0.5, [kept, kept, kept]) == 0.5
     assert find_failure_cost(0.5, [lost, {**kept, "share": 0.5}]) == 2.0  # a share of a policy says nothing of it
     assert find_failure_cost(20.0, [kept, lost, kept]) == 20.0

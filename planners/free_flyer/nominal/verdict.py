@@ -49,7 +49,9 @@ def judge_trials(
         `Infeasible` if all attempts are proofs, else `SolverFailed`.
     """
     problem, most = f"plan of {task.scenario.name}", max(max(trial.attempt.pieces) for trial in trials)
-    if complete and all(trial.is_proof for trial in trials if not trial.attempt.few):
+    full = [trial for trial in trials if not trial.attempt.few]  # few impacts prove nothing of many
+    exists = any(trial.rho is not None for trial in trials)
+    if complete and full and not exists and all(trial.is_proof for trial in full):
         status = f"proven infeasible with up to {max_impacts} impacts, {most} straight pieces a leg"
         remedy = "allow more impacts or time, move the areas, or relax the formula"
         return Infeasible(problem, f"{status} and {describe_reserves(task, trials[-1].attempt.halvings)}", remedy)

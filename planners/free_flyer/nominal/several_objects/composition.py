@@ -159,7 +159,7 @@ def _append_impacts(
     options: PlanOptions,
 ) -> Done:
     """Return what is done with so many impacts of an object after the first few (`gap`) of the others."""
-    scenario, chosen = task.scenario, options.compose
+    scenario = task.scenario
     word = (*done.word[:gap], *((ANYBODY, name),) * impacts, *done.word[gap:])
     grid = build_event_grid(scenario, len(word), (rho - NEAR, rho), task.reserves, pieces, word=word, sharp=True)
     grid = replace(grid, axes=DIRECTIONS)  # a flight may pass a resting object at a slant
@@ -168,15 +168,31 @@ def _append_impacts(
     add_demands(grid, demands, scenario.control_period, passing=True)
     first = gap * pieces
     add_clearance_rows(grid, scenario, task.reserves, list_places(scenario, range(first, grid.count)))
-    last = grid.times[(gap + impacts) * pieces]
-    assert isinstance(last, Affine)
-    grid.model.objective = last
+    return finish_early(task, grid, gap + impacts, limit, options)
+
+
+def finish_early(task: NominalTask, grid: EventGrid, event: int, limit: float, options: PlanOptions) -> Done:
+    """Return what is done where an event of a grid comes as early as may be, with the bodies apart.
+
+    Args:
+        task: what is asked.
+        grid: with all its rows but those of bodies that pass each other.
+        event: number of the event.
+        limit: of each solution [s].
+        options: of the composition.
+
+    Raises:
+        PlanningError: the grid has no such point, or none was found.
+    """
+    chosen, time = options.compose, grid.times[event * grid.pieces]
+    assert isinstance(time, Affine)
+    grid.model.objective = time
 
     def solve_once() -> np.ndarray:
         seconds = min(limit, chosen.longest)
         return solve(grid.model, seconds, chosen.gap, task.solver, work=task.work, nodes=chosen.nodes).x
 
-    x = solve_apart(grid, scenario, task.reserves, solve_once)
+    x = solve_apart(grid, task.scenario, task.reserves, solve_once)
     return read_done(grid, read_word(grid, x), x)
 
 

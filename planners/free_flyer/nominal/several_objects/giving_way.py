@@ -12,24 +12,21 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from planners.errors import PlanningError, SolverFailed
-from planners.free_flyer.nominal.clearance_rows import add_clearance_rows, solve_apart
+from planners.free_flyer.nominal.clearance_rows import add_clearance_rows
 from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import ANYBODY
-from planners.free_flyer.nominal.least_cost import read_word
 from planners.free_flyer.nominal.several_objects.composition import (
     NEAR,
     Done,
     append_object,
     bound_values,
+    finish_early,
     free_numbers,
-    read_done,
     restrict_demands,
 )
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.word_grid import WordGrid
 from planners.free_flyer.specification.formula_rows import add_demands
-from planners.mixed_integer import Affine
-from planners.solvers import solve
 
 ASIDE = 2  # impacts that put an object aside: a throw and a catch
 
@@ -100,7 +97,7 @@ def _put_aside(
     Raises:
         PlanningError: there is no such plan.
     """
-    scenario, chosen, moves = task.scenario, options.compose, len(way) - 2
+    scenario, moves = task.scenario, len(way) - 2
     if limit <= 0.0:
         raise SolverFailed("composition", "no time is left", "raise the time limit")
     word = (*((ANYBODY, aside),) * ASIDE, *((ANYBODY, straight),) * moves, *((ANYBODY, aside),) * home)
@@ -113,16 +110,7 @@ def _put_aside(
     flights = range(ASIDE * pieces, (ASIDE + moves + 1) * pieces)
     pair = tuple(name for name in scenario.bodies if name in (straight, aside))
     add_clearance_rows(grid, scenario, task.reserves, [(pair[0], pair[1], piece) for piece in flights])
-    last = grid.times[len(word) * pieces]
-    assert isinstance(last, Affine)
-    grid.model.objective = last
-
-    def solve_once() -> np.ndarray:
-        seconds = min(limit, chosen.longest)
-        return solve(grid.model, seconds, chosen.gap, task.solver, work=task.work, nodes=chosen.nodes).x
-
-    x = solve_apart(grid, scenario, task.reserves, solve_once)
-    return read_done(grid, read_word(grid, x), x)
+    return finish_early(task, grid, len(word), limit, options)
 
 
 def _keep_way(grid: EventGrid, name: str, way: np.ndarray) -> None:
