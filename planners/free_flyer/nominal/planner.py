@@ -271,7 +271,10 @@ class _Climber:
             self.failure = error
             if not options.thorough:
                 raise
-        if not optimum.words and not self.hurry and optimum.events is not None:
+        if self.hurry:
+            with suppress(PlanningError):
+                plans.append(plan_patiently(task, optimum, rough, self.failure, budget, options))
+        elif not optimum.words and optimum.events is not None:
             # Where the motions are too quick, what they need is soon known; other sequences take longer to find.
             word = rough[0] if rough else optimum.events.sequence.hitters
             with suppress(PlanningError):
@@ -281,6 +284,8 @@ class _Climber:
                     plans.append(plan_events(task, optimum, rough, budget, options))
         if max((plan.robustness for plan in plans), default=0.0) < options.satisfying * optimum.rho:
             plans += self._plan_fewer(optimum)
+        if not plans and self.hurry:
+            raise self.failure
         if not plans:
             plans.append(plan_patiently(task, optimum, rough, self.failure, budget, options))
         return max(plans, key=lambda plan: plan.robustness)

@@ -265,3 +265,10 @@ def test_unreachable_goals_are_infeasible(values: dict) -> None:
 def test_bad_options_are_named(options: dict) -> None:
     with pytest.raises(InputError, match=next(iter(options))):
         make_plan("throw_and_catch", **options)
+
+
+@pytest.mark.slow
+def test_half_of_the_reserves_make_a_late_plan_as_robust_as_its_bound() -> None:
+    plan = make_plan(load_scenario("pingpong").suite("short"), time_limit=300.0)
+    assert plan.robustness == pytest.approx(plan.bound, abs=1e-4)
+    assert plan.bound == pytest.approx(0.25, abs=1e-4)
