@@ -57,6 +57,7 @@ def draw_map(arena: Arena, played: Played, found: Sequence[Counterexample], titl
     """
     from matplotlib.colors import TwoSlopeNorm
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     check_map(arena)
     first, second = np.argsort(-compute_importance(played), kind="stable")[:2]
@@ -74,12 +75,17 @@ def draw_map(arena: Arena, played: Played, found: Sequence[Counterexample], titl
     ink = hex_color(drawing.INK)
     failed = ~played.success
     axes.plot(x[failed], y[failed], ".", color=ink, ms=2, label=f"{int(failed.sum())} failures")
+    numbers: dict[tuple[float, float], list[str]] = {}
     for number, one in enumerate(found, start=1):
-        place = (one.values[keys[0]], one.values[keys[1]])
+        numbers.setdefault((one.values[keys[0]], one.values[keys[1]]), []).append(str(number))
+    for count, (place, names) in enumerate(numbers.items()):
         axes.plot(
-            *place, "*", color=ink, ms=13, mfc="white", label="counterexamples, as mild as they fail" * (number == 1)
+            *place, "*", color=ink, ms=13, mfc="white", label="counterexamples, as mild as they fail" * (count == 0)
         )
-        axes.annotate(str(number), place, (6, 4), textcoords="offset points", color=ink)
+        axes.annotate(", ".join(names), place, (6, 4), textcoords="offset points", color=ink)
+    for axis, values in ((axes.xaxis, x), (axes.yaxis, y)):
+        if (values == np.round(values)).all():
+            axis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel=keys[0].removeprefix("true."), ylabel=keys[1].removeprefix("true."), title=title)
     figure.legend(loc="outside lower center", ncols=2, fontsize="small")
     figure.colorbar(cells, label=f"mean {label_robustness(formula)}", extend="both")
