@@ -32,6 +32,7 @@ from train.evaluation.comparison import compare_groups
 from train.evaluation.evaluate import evaluate_cases
 from train.evaluation.journal import write_json
 from train.evaluation.origins import read_origins
+from train.ground import fill_args, read_cases
 
 ROWS = (
     "pong:hard", "corridor:hard", "obstacle_avoidance:hard", "exchange:hard", "pingpong:hard", "pingpong:short",
@@ -174,8 +175,9 @@ def train(args: Args, training: TrainingArgs, times: int = 1) -> None:
     done = training.out / "result.json"
     if done.exists():
         return
-    resume, steps = residual.last_checkpoint(training.out) is not None, args.steps or training.steps
-    run = replace(training, resume=resume, threads=args.threads, steps=times * steps, report_episodes=0)
+    resume, filled = residual.last_checkpoint(training.out) is not None, fill_args(training, read_cases(training))
+    steps = times * (args.steps or filled.steps or 0)
+    run = replace(training, resume=resume, threads=args.threads, steps=steps, report_episodes=0)
     write_json(done, residual.main(run))
 
 

@@ -17,8 +17,9 @@ class Args:
     """Shipped names or TOML files; several train one policy for all."""
     suite: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="SUITE")] = ()
     """Mismatch suite of the true world; given several times, one policy for all. Without: hard."""
-    steps: int = 60_000
-    """Corrections to answer in the whole run; a free-flyer asks for one per impact, the others periodically."""
+    steps: int | None = None
+    """Corrections to answer in the whole run; a free-flyer asks for one per impact, the others periodically. Without:
+    120,000 of free-flyers, 60,000 of the others."""
     out: Path = Path("runs/residual")
     """Folder for checkpoints and logs."""
     resume: bool = False
@@ -60,6 +61,16 @@ class Args:
     failure: float = 0.5
     """Least cost of a failure beside its robustness, times the expert's median robustness; it rises while success is
     lost on the tuning seeds."""
+    highest_failure: float = 8.0
+    """Greatest such cost: beyond, robustness counts for nothing."""
+    failure_rise: float = 2.0
+    """Times that the cost rises after an evaluation that lost success."""
+    failure_fall: float = 0.8
+    """Times that the cost falls after an evaluation that did not."""
+    loss: float = 0.0075
+    """Success, of all tuning episodes, that a policy may lose and yet be kept."""
+    shares: tuple[float, ...] = (1.0, 0.75, 0.5, 0.25)
+    """Of its corrections with which a policy is tried, one after the other, until it loses no success."""
     eval_every: int | None = None
     """Iterations between two evaluations on tuning seeds; without: as many as play 2,560 episodes; 0: never, and the
     last policy is kept."""
@@ -117,6 +128,10 @@ class TuneArgs:
     """A failure counts no more than so many times the expert's median robustness."""
     failure: float = 0.5
     """Cost of a failure beside its robustness, times the expert's median robustness."""
+    loss: float = 0.0075
+    """Success, of all seeds of the choice, that a constant may lose and yet be kept."""
+    shares: tuple[float, ...] = (1.0, 0.75, 0.5, 0.25)
+    """Of a finalist that are tried, one after the other, until it loses no success."""
     worlds: int = 512
     """Episodes that are played at a time, over all scenarios and suites."""
     threads: int | None = None

@@ -61,7 +61,7 @@ def read_cases(args: Args) -> list[Case]:
 
 
 def fill_args(args: Args, cases: Sequence[Case]) -> Args:
-    """Return arguments with the numbers that suit the domain where none is given: worlds, and how often to evaluate.
+    """Return arguments with the numbers that suit the domain where none is given: steps, worlds, times of evaluations.
 
     The less often an episode asks for a correction, the more of them an update needs.
 
@@ -69,13 +69,16 @@ def fill_args(args: Args, cases: Sequence[Case]) -> Args:
         args: arguments of the run.
         cases: scenarios in their suites.
     """
-    worlds, every = args.worlds, args.eval_every
+    steps, worlds, every = args.steps, args.worlds, args.eval_every
+    domain = cases[0].scenario.domain
+    if steps is None:
+        steps = find_part("agents", domain, "TRAINING_CORRECTIONS")
     if worlds is None:
-        share, usual = len(cases) * args.group, find_part("agents", cases[0].scenario.domain, "ITERATION_EPISODES")
+        share, usual = len(cases) * args.group, find_part("agents", domain, "ITERATION_EPISODES")
         worlds = share * math.ceil(usual / share)
     if every is None:
         every = math.ceil(EVALUATION_EPISODES / max(worlds, 1))
-    return replace(args, worlds=worlds, eval_every=every)
+    return replace(args, steps=steps, worlds=worlds, eval_every=every)
 
 
 def make_grounds(args: Args, cases: Sequence[Case]) -> list[Ground]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,21 @@ def check_ranges(args: Any, ranges: Mapping[str, tuple[float, float]]) -> None:
     for name, (low, high) in ranges.items():
         if (value := getattr(args, name)) is not None and not low <= value <= high:
             raise InputError(f"{name} {value:g}: choices: from {low:g} to {high:g}")
+
+
+def check_choice(args: Any) -> None:
+    """Raise unless what is kept of a policy's corrections makes sense: all of them first, then ever less.
+
+    Args:
+        args: with the attributes ``loss`` and ``shares``.
+
+    Raises:
+        InputError: one line naming the argument, its value and the choices.
+    """
+    check_ranges(args, {"loss": (0.0, 1.0)})
+    shares = args.shares
+    if not shares or shares[0] != 1.0 or not all(0.0 < low < high for high, low in pairwise(shares)):
+        raise InputError(f"shares {list(shares)}: choices: 1 and then ever smaller shares above 0")
 
 
 def check_hidden(hidden: Sequence[int]) -> None:

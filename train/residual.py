@@ -47,13 +47,16 @@ from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions, write_json
 from train.ground import DEFAULT_SUITE, Ground, fill_args, judge, make_grounds, read_cases
-from train.limits import check_hidden, check_least, check_ranges, check_same
-from train.score import SHARES, compare_episodes, find_failure_cost, loses_success, rate_evaluation
+from train.limits import check_choice, check_hidden, check_least, check_ranges, check_same
+from train.score import compare_episodes, find_failure_cost, loses_success, rate_evaluation
 from train.settings import list_settings
 from train.watch import Watch, run_script, show_progress
 
 # Arguments that decide what a checkpoint means; a resumed run must have the same.
-FIXED = ("scenarios", "suite", "seed", "variant", "set", "worlds", "group", "hidden", "worst", "cut", "failure")
+FIXED = (
+    "scenarios", "suite", "seed", "variant", "set", "worlds", "group", "hidden", "worst", "cut", "failure",
+    "highest_failure", "failure_rise", "failure_fall", "loss", "shares",
+)  # fmt: skip
 
 
 def main(args: Args, saved: Callable[[], None] | None = None) -> dict[str, Any]:
@@ -78,6 +81,7 @@ def main(args: Args, saved: Callable[[], None] | None = None) -> dict[str, Any]:
     cases = read_cases(args)
     args = fill_args(args, cases)
     check_args(args)
+    assert args.steps is not None
     torch.set_num_threads(1)
     with lock_folder(args.out):
         check_run(args)
@@ -86,7 +90,7 @@ def main(args: Args, saved: Callable[[], None] | None = None) -> dict[str, Any]:
             run = Run(args, grounds, saved)
             with show_progress(args.steps, args.progress) as watch:
                 run.begin(watch)
-                while run.model.num_timesteps < args.steps:
+                while not run.is_over:
                     run.iterate(watch)
             report = run.report()
         finally:
@@ -115,6 +119,8 @@ def check_args(args: Args) -> None:
     shares = dict.fromkeys(("learning_rate", "clip", "entropy"), (0.0, 1.0))
     sizes = {"worst": (0.0, 1e6), "failure": (0.0, 1e6), "cut": (1e-6, 1e6), "target_kl": (1e-6, 1e6)}
     check_ranges(args, shares | sizes | {"log_std": (-20.0, 2.0)})
+    check_ranges(args, {"highest_failure": (0.0, 1e6), "failure_rise": (1.0, 1e3), "failure_fall": (0.0, 1.0)})
+    check_choice(args)
     if args.eval_episodes > REPORT_SEEDS - TUNING_SEEDS:
         raise InputError(f"eval_episodes {args.eval_episodes}: there are {REPORT_SEEDS - TUNING_SEEDS} tuning seeds")
     check_hidden(args.hidden)
@@ -221,7 +227,12 @@ class Run:
     @property
     def best(self) -> dict[str, Any]:
         """Return the evaluation of the kept policy; empty without any."""
-        return max(self.evaluations, key=rate_evaluation, default={})
+        return max(self.evaluations, key=lambda found: rate_evaluation(found, self._args.loss), default={})
+
+    @property
+    def is_over(self) -> bool:
+        """Return whether all corrections are answered."""
+        return self.model.num_timesteps >= (self._args.steps or 0)
 
     @property
     def cpu_seconds(self) -> float:
@@ -248,7 +259,7 @@ class Run:
             ) from error
         self.iterations += 1
         watch.advance(self.model.num_timesteps)
-        last, every = self.model.num_timesteps >= self._args.steps, self._args.eval_every
+        last, every = self.is_over, self._args.eval_every
         if every and (last or self.iterations % every == 0):
             self._evaluate(watch)
         self.model.logger.dump(self.model.num_timesteps)
@@ -257,7 +268,7 @@ class Run:
     def _learn(self) -> None:
         """Play an iteration's episodes and learn from them."""
         start, args = time.perf_counter(), self._args
-        draw, failure = self._seed(), find_failure_cost(args.failure, self.evaluations)
+        draw, failure = self._seed(), find_failure_cost(args, self.evaluations)
         scores, rows = [], []
         for ground in self._grounds:
             count = ground.worlds.num_envs
@@ -309,7 +320,7 @@ class Run:
 
     def _evaluate(self, watch: Watch) -> None:
         """Play the tuning seeds, and keep the policy, or a share of it, if it surely gains most so far."""
-        for share in SHARES:
+        for share in self._args.shares:
             actor = export_actor(self.model, self.statistics, share)
             found = self._judge(actor, TUNING_SEEDS, self._args.eval_episodes)
             evaluation = {"iterations": self.iterations, "steps": self.model.num_timesteps, "share": share, **found}
@@ -320,7 +331,7 @@ class Run:
                 for name in ("success_rate", "expert_success_rate", "gain", "low", "correction"):
                     self.model.logger.record(f"tuning/{name}", evaluation[name])
             watch.say(describe_evaluation(evaluation))
-            if not loses_success(evaluation):
+            if not loses_success(evaluation, self._args.loss):
                 return
 
     def _judge(self, actor: Actor, first: int, episodes: int) -> dict[str, Any]:

@@ -12,11 +12,6 @@ from agents.play import Played
 from agents.sb3 import compute_advantages
 from train.arguments import Args
 
-SHARES = (1.0, 0.5, 0.25)  # of its corrections with which a policy is tried, until it loses no success
-LEAST_LOSS = 0.0075  # of success: a policy that loses more than this on the tuning seeds is not kept
-RISE, FALL = 4.0, 0.5  # of the cost of a failure, after an evaluation that lost success, or did not
-HIGHEST = 8.0  # cost of a failure: beyond, robustness counts for nothing
-
 
 def compute_scores(robustness: np.ndarray, scale: float, worst: float) -> np.ndarray:
     """Return what an episode is worth to the learner: max(rho / scale, -worst), shape (E,).
@@ -29,14 +24,14 @@ def compute_scores(robustness: np.ndarray, scale: float, worst: float) -> np.nda
     return np.maximum(robustness / scale, -worst)
 
 
-def rate_evaluation(evaluation: dict[str, Any]) -> float:
+def rate_evaluation(evaluation: dict[str, Any], loss: float) -> float:
     """Return what evaluations are ordered by: the gain that is sure, of those that lose hardly any success [m]."""
-    return -math.inf if loses_success(evaluation) else evaluation["low"]
+    return -math.inf if loses_success(evaluation, loss) else evaluation["low"]
 
 
-def loses_success(evaluation: dict[str, Any]) -> bool:
-    """Return whether a policy succeeds noticeably less often than the expert."""
-    return bool(evaluation["success_rate"] < evaluation["expert_success_rate"] - LEAST_LOSS)
+def loses_success(evaluation: dict[str, Any], loss: float) -> bool:
+    """Return whether a policy succeeds less often than the expert, by more than a share of the episodes."""
+    return bool(evaluation["success_rate"] < evaluation["expert_success_rate"] - loss)
 
 
 def compare_episodes(args: Args, played: Played, scale: float, failure: float) -> np.ndarray:
@@ -52,18 +47,18 @@ def compare_episodes(args: Args, played: Played, scale: float, failure: float) -
     return better + failure * compute_advantages(played.success.astype(float), args.group)
 
 
-def find_failure_cost(start: float, evaluations: Sequence[dict[str, Any]]) -> float:
-    """Return what a failure costs beside its robustness, after some evaluations.
+def find_failure_cost(args: Args, evaluations: Sequence[dict[str, Any]]) -> float:
+    """Return what a failure costs beside its robustness, after some evaluations, times the expert's median robustness.
 
     Greater after each evaluation that lost success, smaller after one that did not: gains are not bought with failures.
 
     Args:
-        start: the least cost, times the expert's median robustness.
+        args: of the run: the least and the greatest cost, and how it moves.
         evaluations: on tuning seeds, so far.
     """
-    cost = start
+    cost, highest = args.failure, max(args.failure, args.highest_failure)
     for evaluation in evaluations:
-        if evaluation["share"] == 1.0:
+        if evaluation["share"] == 1.0:  # a share of a policy says nothing of it
             lost = evaluation["success_rate"] < evaluation["expert_success_rate"]
-            cost = min(RISE * cost, max(start, HIGHEST)) if lost else max(start, FALL * cost)
+            cost = min(args.failure_rise * cost, highest) if lost else max(args.failure, args.failure_fall * cost)
     return cost

@@ -31,8 +31,8 @@ from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.folder_lock import lock_folder
 from train.evaluation.journal import read_versions
 from train.ground import DEFAULT_SUITE, Ground, judge, make_grounds, read_cases
-from train.limits import check_least, check_ranges
-from train.score import SHARES, compute_scores, loses_success, rate_evaluation
+from train.limits import check_choice, check_least, check_ranges
+from train.score import compute_scores, loses_success, rate_evaluation
 from train.settings import list_settings
 from train.watch import Watch, run_script, show_progress
 
@@ -101,6 +101,7 @@ def check_args(args: TuneArgs) -> None:
     check_least(args, least | {"seed": 0, "report_episodes": 0, "worlds": 1})
     shares = {"spread": (1e-6, 1.0), "least_spread": (0.0, 1.0), "step": (1e-3, 1.0)}
     check_ranges(args, shares | {"worst": (0.0, 1e6), "failure": (0.0, 1e6)})
+    check_choice(args)
     if args.elites > args.population:
         raise InputError(f"elites {args.elites}: there are {args.population} candidates in a generation")
     if (wanted := args.generations * args.episodes) > FINAL_SEEDS - TUNING_SEEDS:
@@ -233,7 +234,7 @@ def choose_best(
     """
     tried, found = list[np.ndarray](), list[dict[str, Any]]()
     for place, mean in enumerate([np.zeros_like(means[0]), *means[-args.finalists :]]):
-        for share in SHARES:
+        for share in args.shares:
             tried.append(share * mean)
             actor = make_actor(grounds[0], tried[-1], numbers)
             found.append(judge(grounds, actor, FINAL_SEEDS, args.final_episodes, args.worst))
@@ -243,10 +244,10 @@ def choose_best(
                 f"success {100 * found[-1]['success_rate']:.1f} % "
                 f"(expert {100 * found[-1]['expert_success_rate']:.1f} %), gain {found[-1]['gain']:+.4f} m"
             )
-            if not loses_success(found[-1]):
+            if not loses_success(found[-1], args.loss):
                 break
         watch.advance(args.generations + place)
-    best = max(range(len(tried)), key=lambda place: rate_evaluation(found[place]))
+    best = max(range(len(tried)), key=lambda place: rate_evaluation(found[place], args.loss))
     return tried[best], found[best]
 
 

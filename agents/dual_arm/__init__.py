@@ -2,3 +2,4 @@
 
 LOOP = "agents.dual_arm.decision_loop:DualArmLoop"
 ITERATION_EPISODES = 128  # that a policy is improved from
+TRAINING_CORRECTIONS = 60_000  # that a training run answers

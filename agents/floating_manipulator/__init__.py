@@ -2,3 +2,4 @@
 
 LOOP = "agents.floating_manipulator.decision_loop:FloatingManipulatorLoop"
 ITERATION_EPISODES = 128  # that a policy is improved from
+TRAINING_CORRECTIONS = 60_000  # that a training run answers

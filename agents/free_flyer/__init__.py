@@ -2,3 +2,4 @@
 
 LOOP = "agents.free_flyer.decision_loop:FreeFlyerLoop"
 ITERATION_EPISODES = 512  # that a policy is improved from
+TRAINING_CORRECTIONS = 120_000  # that a training run answers

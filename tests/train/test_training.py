@@ -30,7 +30,7 @@ from train.errors import Diverged
 from train.evaluation.case import EVALUATION_SEEDS, REPORT_SEEDS, TUNING_SEEDS
 from train.evaluation.paired import QUANTILE, Gain, compute_gain, compute_interquartile_mean, summarise_pairs
 from train.residual import Args, check_evaluations, main
-from train.score import HIGHEST, LEAST_LOSS, compare_episodes, compute_scores, find_failure_cost, rate_evaluation
+from train.score import compare_episodes, compute_scores, find_failure_cost, rate_evaluation
 
 SCORED = {"iterations": 0, "share": 1.0, "low": 0.0, "success_rate": 1.0, "expert_success_rate": 1.0}
 STEPS = 96  # three iterations and a bit: an episode of throw_and_catch asks for two corrections
@@ -134,15 +134,15 @@ def test_a_new_policy_flies_the_experts_episodes_bit_for_bit(tmp_path: Path) -> 
 
 def test_the_policy_that_surely_gains_most_is_kept(whole: Path) -> None:
     record = read_run(whole)
-    rates = [rate_evaluation(evaluation) for evaluation in record.evaluations]
+    rates = [rate_evaluation(evaluation, Args.loss) for evaluation in record.evaluations]
     best = record.evaluations[rates.index(max(rates))]
     assert load_policy(whole)[1].steps == best["steps"]
 
 
 def test_a_policy_that_loses_success_is_not_kept_however_much_it_gains() -> None:
-    gains = {"low": 1.0, "success_rate": 0.9, "expert_success_rate": 0.9 + 2 * LEAST_LOSS}
-    assert rate_evaluation(gains) < rate_evaluation(SCORED)
-    assert rate_evaluation(gains | {"success_rate": 0.9 + 1.5 * LEAST_LOSS}) == 1.0
+    gains = {"low": 1.0, "success_rate": 0.9, "expert_success_rate": 0.92}
+    assert rate_evaluation(gains, 0.01) < rate_evaluation(SCORED, 0.01)
+    assert rate_evaluation(gains | {"success_rate": 0.915}, 0.01) == rate_evaluation(gains, 0.03) == 1.0
 
 
 @pytest.mark.parametrize("worse", [True, False])
@@ -344,6 +344,10 @@ def test_values_of_the_expert_and_of_the_world_can_be_changed(tmp_path: Path, mo
         ({"suite": ("all", "mass"), "worlds": 12}, "worlds 12 is not a multiple of group 4 in each of 2"),
         ({"scenarios": ()}, "worlds 16 is not a multiple|scenario"),
         ({"hidden": ()}, r"hidden \[\]: every layer needs a width of at least 1"),
+        ({"shares": (0.5,)}, r"shares \[0.5\]: choices: 1 and then ever smaller shares above 0"),
+        ({"shares": (1.0, 0.5, 0.5)}, r"shares \[1.0, 0.5, 0.5\]: choices: 1 and then"),
+        ({"loss": -0.1}, r"loss -0.1: choices: from 0 to 1"),
+        ({"failure_fall": 1.5}, r"failure_fall 1.5: choices: from 0 to 1"),
         ({"hidden": (8, 0)}, r"hidden \[8, 0\]"),
         ({"suite": ("restitutoin",)}, "did you mean 'restitution'"),
         ({"suite": ("all", "all")}, "suite 'all' .*twice"),
@@ -520,13 +524,14 @@ def test_of_equal_robustness_the_failed_episode_is_worse_by_the_cost_of_a_failur
 
 def test_a_failure_costs_more_while_success_is_lost_and_less_after_it() -> None:
     lost, kept = {**SCORED, "success_rate": 0.996}, SCORED
-    assert find_failure_cost(0.5, []) == 0.5
-    assert find_failure_cost(0.5, [kept, lost]) == 2.0
-    assert find_failure_cost(0.5, [kept, lost, lost, lost, lost]) == HIGHEST
-    assert find_failure_cost(0.5, [kept, lost, lost, kept]) == HIGHEST / 2
-    assert find_failure_cost(0.5, [kept, kept, kept]) == 0.5
-    assert find_failure_cost(0.5, [lost, {**kept, "share": 0.5}]) == 2.0  # a share of a policy says nothing of it
-    assert find_failure_cost(20.0, [kept, lost, kept]) == 20.0
+    args = Args(failure=0.5, failure_rise=4.0, failure_fall=0.5, highest_failure=6.0)
+    assert find_failure_cost(args, []) == 0.5
+    assert find_failure_cost(args, [kept, lost]) == 2.0
+    assert find_failure_cost(args, [kept, lost, lost, lost, lost]) == 6.0
+    assert find_failure_cost(args, [kept, lost, lost, kept]) == 3.0
+    assert find_failure_cost(args, [kept, kept, kept]) == 0.5
+    assert find_failure_cost(args, [lost, {**kept, "share": 0.5}]) == 2.0  # a share of a policy says nothing of it
+    assert find_failure_cost(dataclasses.replace(args, failure=20.0), [kept, lost, kept]) == 20.0
 
 
 @pytest.mark.parametrize(("scenario", "episodes"), [("pong", 512), ("dual_arm_grasp", 128)])
@@ -535,5 +540,6 @@ def test_an_iteration_has_the_episodes_of_its_domain_unless_told_otherwise(scena
     filled = ground.fill_args(args, ground.read_cases(args))
     assert filled.worlds == 24 * -(-episodes // 24)  # the next multiple of what three suites share
     assert filled.eval_every == -(-2560 // filled.worlds)
-    told = dataclasses.replace(args, worlds=48, eval_every=0)
+    assert filled.steps == (120_000 if scenario == "pong" else 60_000)
+    told = dataclasses.replace(args, steps=7, worlds=48, eval_every=0)
     assert ground.fill_args(told, ground.read_cases(told)) == told
