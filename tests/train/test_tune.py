@@ -74,7 +74,8 @@ def test_zero_is_kept_unless_a_finalist_surely_gains_without_losing_success(
         return {"low": found["gain"], **found}
 
     monkeypatch.setattr(tune, "judge", judge)
-    constants, found = tune.choose_best(ARGS, [make_ground()], means, 0, SILENT)
+    args = replace(ARGS, shares=(1.0, 0.5, 0.25))
+    constants, found = tune.choose_best(args, [make_ground()], means, 0, SILENT)
     finalist, share = kept
     expected = share * means[finalist - 1] if finalist else np.zeros((1, 3))
     np.testing.assert_array_equal(constants, expected)
