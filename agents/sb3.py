@@ -14,6 +14,7 @@ import torch
 from gymnasium.spaces import Box
 from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.logger import Logger
 from torch import nn
 
 from agents.actor import Actor, set_to_zero
@@ -105,6 +106,7 @@ def make_model(feature_size: int, correction_size: int, options: LearningOptions
         seed=options.seed,
         device="cpu",
     )
+    model.set_logger(Logger(None, []))  # SB3's own makes a folder in the temporary directory
     set_to_zero(model.policy.action_net)
     set_to_zero(model.policy.value_net)
     nn.init.constant_(cast(Any, model.policy).log_std, options.log_std)

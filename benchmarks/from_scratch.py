@@ -22,6 +22,7 @@ import tyro
 from expert_in_loop import describe_machine, print_table
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.vec_env import ImpactVecEnv
@@ -140,6 +141,7 @@ def learn(args: Args) -> list[dict[str, float]]:
         seed=args.seed,
         device="cpu",
     )
+    model.set_logger(Logger(None, []))  # SB3's own makes a folder in the temporary directory
     curve = Curve(args, made[1])
     try:
         model.learn(10**9, callback=curve)

@@ -205,8 +205,8 @@ class Run:
             args.log_std, args.seed,
         )  # fmt: skip
         self.model: PPO = make_model(experts.feature_size, experts.correction_size, options)
-        formats = ["tensorboard"] if args.log else []
-        self.model.set_logger(configure(str(args.out / "tensorboard") if args.log else None, formats))
+        if args.log:
+            self.model.set_logger(configure(str(args.out / "tensorboard"), ["tensorboard"]))
         self.iterations, self.evaluations = 0, list[dict[str, Any]]()
         self._cpu_start = time.process_time()
         self.statistics: Statistics

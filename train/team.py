@@ -27,6 +27,7 @@ import torch
 from gymnasium.spaces import Box
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.vec_env import VecEnvWrapper
 from torch import nn
@@ -387,6 +388,7 @@ def make_model(args: Args, scenario: Scenario) -> tuple[PPO, Actor, SharedRecord
         seed=args.seed,
         device="cpu",
     )
+    model.set_logger(Logger(None, []))  # SB3's own makes a folder in the temporary directory
     if not fresh:
         for mine, theirs in zip(find_actor_layers(model), actor.layers, strict=True):
             mine.load_state_dict(theirs.state_dict())

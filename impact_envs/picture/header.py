@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from impact_envs.picture import drawing
+from impact_envs.picture.canvas import Canvas
 from impact_envs.picture.drawing import Color
 from impact_envs.picture.frame import MARGIN, Frame
 from impact_envs.picture.unit import write_robustness
@@ -43,25 +44,27 @@ class Writer:
             self._texts[key] = made
         return self._texts[key]
 
-    def fit(self, text: str, font: str, room: float) -> str:
-        """Return a text cut to fit into a width [px]."""
+    def fit(self, text: str, font: str, color: Color, room: float, kept: bool = True) -> pygame.Surface:
+        """Return a text as a picture, cut to fit into a width [px]."""
+        picture = self.render(text, font, color, kept=kept)
+        if picture.get_width() <= room:
+            return picture
         while text and self.font(font).size(text)[0] > room:
             text = text[:-2] + "…" if len(text) > 2 else ""
-        return text
+        return self.render(text, font, color, kept=kept)
 
 
-def write_header(picture: pygame.Surface, frame: Frame, writer: Writer, step: float) -> None:
+def write_header(canvas: Canvas, frame: Frame, writer: Writer, step: float) -> None:
     """Write caption, clock, robustness and verdict above, the grid's step and a note below.
 
     Args:
-        picture: to write on.
+        canvas: with the picture to write on.
         frame: of which instant.
         writer: of texts.
         step: of the grid [m].
     """
-    width, height = picture.get_size()
-    caption = writer.fit(frame.caption, "title", width - 2 * MARGIN)
-    picture.blit(writer.render(caption, "title", drawing.INK), (MARGIN, 10))
+    width, height = canvas.picture.get_size()
+    canvas.write(writer.fit(frame.caption, "title", drawing.INK, width - 2 * MARGIN), (MARGIN, 10))
     words = [f"t = {frame.time:.{2 if (frame.speed or 1.0) < 1.0 else 1}f} s"]
     if frame.speed is not None:
         words.append("real time" if frame.speed == 1.0 else f"{frame.speed:.2g}\N{MULTIPLICATION SIGN} real time")
@@ -71,28 +74,22 @@ def write_header(picture: pygame.Surface, frame: Frame, writer: Writer, step: fl
         verdict, color = _verdict(*frame.robustness)
         text = writer.render(verdict, "verdict", drawing.PAPER)
         place = text.get_rect(midright=(width - MARGIN - 8, 46))
-        _draw_badge(picture, color, place.inflate(16, 5))
-        picture.blit(text, place)
+        canvas.write(text, place, badge=color)
         room -= place.w + 28
-    while len(words) > 1 and writer.font("text").size("   ".join(words))[0] > room:
-        words.pop()  # half a number would say something else
     readout = writer.render("   ".join(words), "text", drawing.MUTED, kept=False)
-    picture.blit(readout, readout.get_rect(midleft=(MARGIN, 46)))
+    while len(words) > 1 and readout.get_width() > room:
+        words.pop()  # half a number would say something else
+        readout = writer.render("   ".join(words), "text", drawing.MUTED, kept=False)
+    canvas.write(readout, readout.get_rect(midleft=(MARGIN, 46)))
     grid = writer.render(f"grid {step:g} m", "label", drawing.MUTED)
-    picture.blit(grid, grid.get_rect(bottomright=(width - MARGIN, height - 5)))
+    canvas.write(grid, grid.get_rect(bottomright=(width - MARGIN, height - 5)))
     note = frame.note or ("arrows: change of velocity at an impact" if frame.impacts else "")
-    note = writer.fit(note, "label", width - 3 * MARGIN - grid.get_width())
-    line = writer.render(note, "label", drawing.MUTED, kept=False)  # it may count the time
-    picture.blit(line, line.get_rect(bottomleft=(MARGIN, height - 5)))
+    room = width - 3 * MARGIN - grid.get_width()
+    line = writer.fit(note, "label", drawing.MUTED, room, kept=False)  # it may count the time
+    canvas.write(line, line.get_rect(bottomleft=(MARGIN, height - 5)))
 
 
 def _verdict(lower: float, upper: float) -> tuple[str, Color]:
     if lower > 0:
         return "satisfied", drawing.SATISFIED
     return ("violated", drawing.VIOLATED) if upper < 0 else ("undecided", drawing.UNDECIDED)
-
-
-def _draw_badge(picture: pygame.Surface, color: Color, place: pygame.Rect) -> None:
-    import pygame
-
-    pygame.draw.rect(picture, color, place, border_radius=place.h // 2)

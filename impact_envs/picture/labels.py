@@ -35,23 +35,26 @@ def choose_place(places: Points, boxes: Points, frame: Sequence[float]) -> Point
     first = places[0]
     if (first[:2] >= edge[:2]).all() and (first[2:] <= edge[2:]).all() and not _covers(first, boxes).any():
         return first
-    costs = _judge(places[:NEARBY], boxes, edge)
-    if costs.min() >= FAR * len(costs):  # else no place farther away is better
-        costs = _judge(places, boxes, edge)
+    costs = np.zeros(0)
+    # Places of one distance after the other: a place costs at least ``FAR`` times its number, whatever it covers.
+    while len(costs) < len(places) and costs.min(initial=np.inf) >= FAR * len(costs):
+        costs = np.append(costs, _judge(places[len(costs) : len(costs) + NEARBY], boxes, edge, len(costs)))
     best = places[int(np.argmin(costs))]
     shift = np.maximum(edge[:2] - best[:2], 0.0) - np.maximum(best[2:] - edge[2:], 0.0)
     return best + np.tile(shift, 2)
 
 
-def _judge(places: Points, boxes: Points, edge: Points) -> Points:
-    """Return what each place costs: what it covers, what of it leaves the frame, and how far down the list it is."""
+def _judge(places: Points, boxes: Points, edge: Points, first: int) -> Points:
+    """Return what each place costs: what it covers, what of it leaves the frame, and its number in the list."""
     near = boxes[_covers(np.concatenate([places[:, :2].min(axis=0), places[:, 2:].max(axis=0)]), boxes)]
-    low = np.maximum(places[:, None, :2], near[None, :, :2])
-    high = np.minimum(places[:, None, 2:], near[None, :, 2:])
-    covered = np.maximum(high - low, 0.0).prod(axis=2).sum(axis=1)
+    # One axis after the other: NumPy is slow along an axis of two numbers.
+    wide, tall = (
+        np.minimum(places[:, k + 2, None], near[:, k + 2]) - np.maximum(places[:, k, None], near[:, k]) for k in (0, 1)
+    )
+    covered = (np.maximum(wide, 0.0) * np.maximum(tall, 0.0)).sum(axis=1)
     inside = np.maximum(np.minimum(places[:, 2:], edge[2:]) - np.maximum(places[:, :2], edge[:2]), 0.0).prod(axis=1)
     outside = (places[:, 2:] - places[:, :2]).prod(axis=1) - inside
-    return covered + OUTSIDE * outside + FAR * np.arange(len(places))
+    return covered + OUTSIDE * outside + FAR * (first + np.arange(len(places)))
 
 
 def _covers(place: Points, boxes: Points) -> np.ndarray:

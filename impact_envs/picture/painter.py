@@ -90,7 +90,7 @@ class Painter:
             frame: poses and overlays of this instant.
 
         Returns:
-            A new surface of the painter's size.
+            A surface of the painter's size, which the next call paints anew.
 
         Raises:
             InputError: a body with a shape has no pose.
@@ -111,10 +111,10 @@ class Painter:
             moved.append(self._draw_body(sheet, shape, frame.poses[body], self._colors[body]))
         for mark in frame.impacts[-KEPT_IMPACTS:]:
             moved += self._draw_mark(sheet, mark, frame.speed)
-        picture = canvas.shrink(moved)
-        self._write_labels(picture, frame)
-        write_header(picture, frame, self._writer, choose_grid(self._upper - self._lower))
-        return picture
+        canvas.shrink(moved)
+        self._write_labels(canvas, frame)
+        write_header(canvas, frame, self._writer, choose_grid(self._upper - self._lower))
+        return canvas.picture
 
     def _pixels(self, points: Any, zoom: int = ZOOM) -> Points:
         """Map world points (n, 2) to pixels; the screen's y axis points down."""
@@ -212,7 +212,7 @@ class Painter:
         shown = min(max(length, ZOOM * LEAST_ARROW), ZOOM * LARGEST_ARROW)
         return drawing.draw_arrow(canvas, drawing.IMPACT, start, start + shown / length * way, 2.5 * ZOOM)
 
-    def _write_labels(self, picture: pygame.Surface, frame: Frame) -> None:
+    def _write_labels(self, canvas: Canvas, frame: Frame) -> None:
         """Write the names of areas and bodies where they cover no body, as long as there is room."""
         named: list[tuple[Shape, Points, Points]] = []
         boxes: list[Points] = []
@@ -231,7 +231,8 @@ class Painter:
             text = self._writer.render(shape.label, "label", _label_color(shape), drawing.WORLD)
             find_places = labels.place_inside if shape.body is None else labels.place_beside
             place = labels.choose_place(find_places(low, high, text.get_size()), taken, view)
-            picture.blit(text, np.rint(place[:2]).astype(int).tolist())
+            left, top = np.rint(place[:2]).astype(int).tolist()
+            canvas.write(text, (left, top))
             taken = np.vstack([taken, place])
 
     def _cover(self, shape: Shape, samples: Points, pose: Pose) -> tuple[Points, Points, Points]:

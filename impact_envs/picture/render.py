@@ -76,10 +76,9 @@ class Renderer:
                 self._window.show(self._painter.paint(replace(frame, speed=self._window.speed)), frame.time)
             return None
         picture = self._painter.paint(frame)
-        (width, height), rows = picture.get_size(), picture.get_pitch()
+        width, height = picture.get_size()
         # One straight copy: a view with the axes as pygame has them would be copied pixel by pixel.
-        copy = np.array(picture.get_view("0"), dtype=np.uint8).reshape(height, rows)
-        return copy[:, : 3 * width].reshape(height, width, 3)
+        return np.array(picture.get_view("0"), dtype=np.uint8).reshape(height, width, 3)
 
     def hold(self, seconds: float) -> None:
         """Leave the window as it is for a while, or until the user closes it."""

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from stable_baselines3 import PPO
-from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.utils import set_random_seed
 
 from agents.actor import Actor
@@ -40,7 +39,6 @@ STATISTICS: Statistics = compute_statistics(draw_features(0, 1000))
 def make_small(**changes: Any) -> PPO:
     """Return a new model of the task."""
     model = make_model(*SIZES, replace(OPTIONS, **changes))
-    model.set_logger(Logger(None, []))
     return model
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -26,6 +29,12 @@ def test_a_new_model_corrects_nothing_and_explores_as_asked(hidden: tuple[int, .
     assert drawn.shape == (20_000, 2)
     assert drawn.std(axis=0) == pytest.approx(np.exp(-2.3), rel=0.03)
     assert np.abs(drawn.mean(axis=0)).max() < 0.003
+
+
+def test_a_model_makes_no_folder_to_log_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    practise(make_small())
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_exported_actor_is_the_models_deterministic_policy() -> None:

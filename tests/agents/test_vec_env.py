@@ -5,6 +5,7 @@ import pytest
 import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
@@ -36,7 +37,9 @@ def make_envs(worlds=WORLDS, per_robot=False, dtype="float64", cycles=CYCLES, se
 
 
 def make_model(algorithm, envs, **options):
-    return algorithm("MlpPolicy", envs, policy_kwargs={"net_arch": [16]}, device="cpu", seed=0, **options)
+    model = algorithm("MlpPolicy", envs, policy_kwargs={"net_arch": [16]}, device="cpu", seed=0, **options)
+    model.set_logger(Logger(None, []))  # SB3's own makes a folder in the temporary directory
+    return model
 
 
 def draw_actions(worlds=WORLDS, steps=STEPS):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -89,8 +90,14 @@ def test_the_critic_alone_learns_first(args: Args, cloned: Path) -> None:
     assert all(torch.equal(first[name], second[name]) for name in first)
 
 
-def test_a_run_learns_keeps_its_best_policy_and_its_curve(args: Args) -> None:
+def test_a_run_learns_keeps_its_best_policy_and_its_curve(
+    args: Args, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(elsewhere))
     result = main(args)
+    assert not list(elsewhere.iterdir())  # SB3's logger would make a folder there
     assert result["steps"] >= 2 * 2 * SHORT.steps
     assert {path.name for path in args.out.iterdir()} >= {
         "shared.safetensors",
