@@ -15,8 +15,6 @@ from impact_envs.errors import InputError
 from train.cli.progress import say_written
 from train.evaluation.case import make_case
 
-WIDE, NARROW = 64, 16  # worlds that are played together: in the search, and to make failures milder
-
 
 @dataclass
 class Command:
@@ -40,7 +38,7 @@ class Command:
     fresh: int = 64
     """Other seeds on which each counterexample's failure rate is measured."""
     workers: int = 1
-    """Threads."""
+    """Threads; experts plan anew in processes beside them."""
     out: Path | None = None
     """Write a copy of the scenario with a suite break_1, break_2, ... for each; every command takes it."""
     map: Path | None = None
@@ -61,14 +59,13 @@ class Command:
         self._check()
         if self.map is not None:
             check_picture_path(self.map)
-        case = make_case(self.scenario, self.suite)
+        case, options = make_case(self.scenario, self.suite), SearchOptions(self.method, self.episodes)
         check_request([case], [self.policy], self.episodes, self.seed, self.workers)
-        arena = Arena(case, self.policy, WIDE, NARROW)  # refuses what cannot be searched before anything is planned
+        arena = Arena(case, self.policy, options.width)  # refuses what cannot be searched before anything is planned
         if self.map is not None:
             check_map(arena)
         (case,) = make_plans([case], [Job(0, self.policy, self.seed)])
-        options = SearchOptions(self.method, self.episodes)
-        with closing(Arena(case, self.policy, WIDE, NARROW, self.workers)) as arena:
+        with closing(Arena(case, self.policy, options.width, self.workers)) as arena:
             start = time.perf_counter()
             played = search_failures(arena, self.seed, options)
             seconds, searched = time.perf_counter() - start, arena.episodes

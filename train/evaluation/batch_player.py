@@ -228,7 +228,7 @@ def play_batched(cases: Sequence[Case], jobs: Sequence[Job], threads: int = 1) -
             for start in range(0, len(seeds), count):
                 shard = seeds[start : start + count]
                 filled = np.array(shard + shard[:1] * (count - len(shard)), np.int64)
-                found = play_worlds(batch, policy, filled)
+                found = play_worlds(batch, policy, filled, len(shard))
                 for k, seed in enumerate(shard):
                     key = {"scenario": case.scenario.name, "suite": case.suite, "policy": name, "seed": seed}
                     yield key | _make_row(found, k, case.scenario.domain), None
@@ -250,13 +250,21 @@ class Ends:
     counts: dict[str, np.ndarray]
 
 
-def play_worlds(batch: Any, policy: BatchPolicy, seeds: np.ndarray) -> Ends:
+def play_worlds(
+    batch: Any,
+    policy: BatchPolicy,
+    seeds: np.ndarray,
+    played: int | None = None,
+    is_stopped: Callable[[], bool] = lambda: False,
+) -> Ends:
     """Play an episode in every world.
 
     Args:
         batch: of N worlds.
         policy: who acts in them.
         seeds: of the episodes, shape (N,).
+        played: number of worlds, the first ones, whose episodes matter; the others wait at their start.
+        is_stopped: asked at every control step; once it is true, episodes are left as they are.
     """
     count = len(seeds)
     output, everywhere = batch.make_output(agents=isinstance(policy, _Shared)), np.ones(count, bool)
@@ -267,13 +275,20 @@ def play_worlds(batch: Any, policy: BatchPolicy, seeds: np.ndarray) -> Ends:
         np.zeros(count), np.zeros(count, bool), np.zeros(count, np.int64), np.zeros(count, np.int64),
         np.full(count, "", object), np.zeros_like(output.joint), {},
     )  # fmt: skip
-    running = everywhere.copy()
-    while running.any():
+    running, ended = everywhere.copy(), ~everywhere
+    played = count if played is None else played
+    running[played:] = False
+    # An expert that is shown its first observation again and again asks nobody for a new plan, which is dear.
+    first = output.joint[~running]
+    while running.any() and not is_stopped():
+        if len(first):
+            output.joint[played:] = first
         actions = policy.act(output).reshape(count, *batch.action_shape)
         # A world that failed is not stepped further: it starts anew, and what becomes of it is nobody's matter.
-        batch.step(actions, output, None if running.all() else ~running)
+        batch.step(actions, output, ended if ended.any() else None)
         ends.impacts[running] += batch.impacts[running]
         over = batch.over & running
+        ended = ended | batch.over
         if over.any():
             ends.joint[over] = output.joint[over]
             _keep_ends(ends, over, batch, policy)

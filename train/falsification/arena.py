@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -9,6 +11,7 @@ import numpy as np
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError
+from impact_envs.interface.threads import Threads
 from train.evaluation.batch_player import Ends, check_batched, make_batch_policy, play_worlds
 from train.evaluation.case import Case
 
@@ -32,8 +35,8 @@ class Played(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Room:
-    """A batch of worlds and who acts in them."""
+class _Lane:
+    """A batch of worlds and who acts in them, for one thread."""
 
     worlds: Any
     batch: Any
@@ -41,33 +44,38 @@ class _Room:
 
 
 class Arena:
-    """Worlds of a case with one policy, of two sizes: wide for the search, narrow for a few worlds.
+    """Worlds of a case with one policy: lanes of them, each played by a thread of its own.
+
+    Threads that share every control step of one batch would wait for each other at each; lanes meet at the end of an
+    episode. Worlds do not depend on each other, so it makes no difference which lane plays which.
 
     Args:
         case: with its plan.
         policy: name of one that plays many worlds at once.
-        wide, narrow: worlds that are played together.
-        threads: that share them.
+        wide: worlds that are played together.
+        threads: lanes that share them.
 
     Raises:
         InputError: the domain has no chosen worlds, the suite draws nothing, or the policy does not fit.
     """
 
-    def __init__(self, case: Case, policy: str, wide: int, narrow: int, threads: int = 1) -> None:
+    def __init__(self, case: Case, policy: str, wide: int, threads: int = 1) -> None:
         pinned = find_part("train", case.scenario.domain, "PINNED")
         if pinned is None:
             raise InputError(f"scenario '{case.scenario.name}': worlds of its domain cannot be chosen")
         check_batched(policy)
         if policy == "oracle":
             raise InputError("policy 'oracle' is told what its seed draws; a search chooses that itself")
-        self._case, self._policy, self._make, self._threads = case, policy, pinned, threads
+        self._case, self._policy, self._make = case, policy, pinned
         self.worlds = pinned(case.scenario)
         self.names: tuple[str, ...] = self.worlds.names
         if not self.names:
             raise InputError(
                 f"suite '{case.suite}' of scenario '{case.scenario.name}' draws nothing from a range; choose another"
             )
-        self.wide, self._narrow, self._rooms = wide, narrow, dict[int, _Room]()
+        self.wide, self._threads = wide, Threads(threads, wide)
+        self._size = -(-wide // self._threads.number)
+        self._lanes: list[_Lane] = []
         self.episodes = 0
 
     def play(self, places: np.ndarray, seeds: np.ndarray) -> Played:
@@ -77,33 +85,44 @@ class Arena:
             places: shape (n, names).
             seeds: shape (n,).
         """
-        size = self._narrow if len(places) <= self._narrow else self.wide
-        parts = [self._play(places[k : k + size], seeds[k : k + size], size) for k in range(0, len(places), size)]
+        if not self._lanes:  # a search may be refused before anything is made, or planned
+            self._lanes = [self._make_lane() for _ in range(self._threads.number)]
+        parts: list[Played | None] = [None] * max(self._threads.number, -(-len(places) // self._size))
+        ends, stopped = [k * len(places) // len(parts) for k in range(len(parts) + 1)], threading.Event()
+
+        def work(thread: int) -> None:
+            for part in range(thread, len(parts), len(self._lanes)):
+                chosen = slice(ends[part], ends[part + 1])
+                if chosen.start < chosen.stop and not stopped.is_set():
+                    parts[part] = self._play(self._lanes[thread], places[chosen], seeds[chosen], stopped.is_set)
+
+        if len(self._lanes) == 1:
+            work(0)
+        else:
+            self._threads.work(work, stopped.set)
         self.episodes += len(places)
-        return Played(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        return Played(*(np.concatenate(column) for column in zip(*filter(None, parts), strict=True)))
 
     def close(self) -> None:
         """Let the threads go."""
-        for room in self._rooms.values():
-            room.policy.close()
-            room.batch.close()
+        self._threads.close()
+        for lane in self._lanes:
+            lane.policy.close()
+            lane.batch.close()
 
-    def _play(self, places: np.ndarray, seeds: np.ndarray, size: int) -> Played:
-        room, count = self._find_room(size), len(places)
-        filling = np.arange(size) % count
-        room.worlds.pin(places[filling])
-        ends = play_worlds(room.batch, room.policy, seeds[filling].astype(np.int64))
-        causes = self._describe(ends, room.batch)
+    def _play(self, lane: _Lane, places: np.ndarray, seeds: np.ndarray, is_stopped: Callable[[], bool]) -> Played:
+        count = len(places)
+        filling = np.arange(self._size) % count
+        lane.worlds.pin(places[filling])
+        ends = play_worlds(lane.batch, lane.policy, seeds[filling].astype(np.int64), count, is_stopped)
+        causes = self._describe(ends, lane.batch)
         return Played(places, seeds, ends.robustness[:count], ends.success[:count], causes[:count])
 
-    def _find_room(self, size: int) -> _Room:
-        if size not in self._rooms:
-            scenario = self._case.scenario
-            worlds = self._make(scenario)
-            batch = find_part("impact_envs", scenario.domain, "BATCH")(worlds, size, None, threads=self._threads)
-            policy = make_batch_policy(self._policy, self._case, size, self._threads, batch.action_shape)
-            self._rooms[size] = _Room(worlds, batch, policy)
-        return self._rooms[size]
+    def _make_lane(self) -> _Lane:
+        scenario = self._case.scenario
+        worlds = self._make(scenario)
+        batch = find_part("impact_envs", scenario.domain, "BATCH")(worlds, self._size, None, threads=1)
+        return _Lane(worlds, batch, make_batch_policy(self._policy, self._case, self._size, 1, batch.action_shape))
 
     def _describe(self, ends: Ends, batch: Any) -> np.ndarray:
         """Return which part of the formula was broken the most, and after how many impacts; or what ended it."""

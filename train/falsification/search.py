@@ -24,6 +24,9 @@ class SearchOptions:
         seeds_each: episodes of one candidate, whose mean robustness is minimised: what one seed's noise does is luck.
         elite: share of a generation's candidates that the next one is drawn around.
         least_spread: of a place, so that the search does not stop at once.
+        generations: of a long search, about.
+        fewest, most: episodes of a generation: of few, drawing the next one tells too little; more than most gain
+            nothing, for what a call costs is far below what the worlds do.
     """
 
     method: Method = "cross_entropy"
@@ -32,6 +35,15 @@ class SearchOptions:
     seeds_each: int = 4
     elite: float = 0.25
     least_spread: float = 0.05
+    generations: int = 48
+    fewest: int = 64
+    most: int = 1024
+
+    @property
+    def width(self) -> int:
+        """Return how many episodes are played together, those of a generation: a power of two."""
+        wanted = max(1, self.episodes // self.generations)
+        return min(max(1 << wanted.bit_length() - 1, self.fewest), self.most)
 
 
 def search_failures(arena: Arena, seed: int, options: SearchOptions) -> Played:

@@ -1,0 +1,89 @@
+"""Measure how many episodes a minute ``impact break`` plays while it searches.
+
+    python benchmarks/falsification.py
+
+In processor time of all threads and of the processes in which experts plan anew, their start included, so that other
+work on the machine does not count: a minute of one core. Lanes share nothing while an episode lasts, so two cores play
+twice as many, where memory and caches allow it; ``--wall`` prints what a clock says, on a quiet machine.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import closing
+from dataclasses import dataclass
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+from scaling import read_cpu
+
+from train.evaluation.case import TUNING_SEEDS, make_case
+from train.evaluation.evaluate import make_plans
+from train.evaluation.player import Job
+from train.falsification.arena import Arena
+from train.falsification.search import SearchOptions, search_failures
+
+# What is set of the expert, by the second part of a case's name.
+EXPERTS = {
+    "lqr": {"expert.tracker": "lqr"},
+    "mpc": {"expert.tracker": "mpc"},
+    "mpc-kept": {"expert.tracker": "mpc", "expert.plan_anew": False},
+}
+
+
+@dataclass
+class Args:
+    """Measure how many episodes a minute a search plays."""
+
+    cases: tuple[str, ...] = tuple(
+        f"{scenario}/{policy}" for scenario in ("throw_and_catch", "pong", "corridor") for policy in ("zero", *EXPERTS)
+    )
+    """SCENARIO/zero: no control; SCENARIO/lqr, SCENARIO/mpc: the expert with that tracker; mpc-kept: which does not
+    plan anew in the background."""
+    zero_episodes: int = 12_800
+    """Without control."""
+    episodes: int = 1280
+    """With an expert."""
+    workers: int = 2
+    """Lanes."""
+    suite: str = "hard"
+    """Whose ranges are searched."""
+    wall: bool = False
+    """Print the time of a clock, too."""
+
+
+def measure_search(name: str, args: Args) -> tuple[int, float, float, int]:
+    """Return episodes, processor time [s], time by a clock [s], and failures of a search, when all is compiled.
+
+    Args:
+        name: SCENARIO/POLICY, see Args.
+        args: see there.
+    """
+    scenario, _, kind = name.partition("/")
+    policy = "zero" if kind == "zero" else "expert"
+    episodes = args.zero_episodes if kind == "zero" else args.episodes
+    (case,) = make_plans([make_case(scenario, args.suite, EXPERTS.get(kind, {}))], [Job(0, policy, TUNING_SEEDS)])
+    with closing(Arena(case, policy, args.workers)) as arena:
+        arena.play(np.tile(arena.worlds.nominal, (2, 1)), np.arange(2))
+    clock, start = time.perf_counter(), read_cpu()
+    with closing(Arena(case, policy, SearchOptions(episodes=episodes).width, args.workers)) as arena:
+        played = search_failures(arena, TUNING_SEEDS, SearchOptions(episodes=episodes))
+    return arena.episodes, read_cpu() - start, time.perf_counter() - clock, int(np.sum(~played.success))
+
+
+def main(args: Args) -> None:
+    """Measure all cases and print a table."""
+    table = Table(title=f"Episodes a minute of a search in {args.suite}, {args.workers} lanes")
+    for head in ("case", "episodes", "failures", "a minute of a core", *(["by a clock"] * args.wall)):
+        table.add_column(head, justify="left" if head == "case" else "right")
+    for name in args.cases:
+        count, cpu, wall, failures = measure_search(name, args)
+        rates = [cpu, *([wall] * args.wall)]
+        table.add_row(name, str(count), str(failures), *(f"{60.0 * count / seconds:,.0f}" for seconds in rates))
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))
