@@ -53,7 +53,9 @@ def is_excluded(task: NominalTask, pieces: int, max_impacts: int, least: float, 
         least: robustness that a plan must have [m].
         time_limit: of all proofs together [s].
     """
-    rho = (least, max(compute_geometric_bound(task.scenario, task.demands, task.solver), least))
+    rho = (least, compute_geometric_bound(task.scenario, task.demands, task.solver))
+    if rho[1] < least:
+        return True
     end = read_clock() + time_limit
     for impacts in range(max_impacts + 1):
         if read_clock() >= end:
