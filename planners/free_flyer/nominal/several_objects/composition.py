@@ -92,7 +92,7 @@ def compose_objects(
 
 def _append_in_order(
     task: NominalTask,
-    order: Sequence[str],
+    order: tuple[str, ...],
     numbers: Mapping[str, int],
     max_impacts: int,
     pieces: int,
