@@ -36,6 +36,18 @@ class Attempt:
             task = replace(task, reserves=replace(task.reserves, turn=options.brisk * task.reserves.turn))
         return task
 
+    def cut_to_least(self, task: NominalTask, options: PlanOptions) -> NominalTask:
+        """Return the task with reserves of which those of every attempt with so many pieces ask at least as much.
+
+        Robots are as fast as brisk ones, and lose no more time by starting and stopping than others.
+
+        Args:
+            task: with all reserves; its bodies start at rest.
+            options: how far reserves are cut.
+        """
+        least = replace(self, halvings=options.halvings, brisk=True).cut_reserves(task, options)
+        return replace(least, reserves=replace(least.reserves, slack=least.reserves.slack / options.brisk))
+
     def is_slow(self, task: NominalTask) -> bool:
         """Return whether thrust limits the legs of some robot, rather than its speed limit."""
         reserves = task.reserves

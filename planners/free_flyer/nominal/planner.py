@@ -23,7 +23,7 @@ from planners.free_flyer.nominal.finishing import (
     plan_patiently,
 )
 from planners.free_flyer.nominal.robustness import MANY, RobustnessOptimum, maximise_robustness
-from planners.free_flyer.nominal.screening import screen_task
+from planners.free_flyer.nominal.screening import is_excluded, screen_task
 from planners.free_flyer.nominal.several_objects.joint_robustness import maximise_jointly
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.verdict import Trial, judge_trials
@@ -138,9 +138,12 @@ def _plan_task(
         max_impacts = min(max_impacts, options.expected + 1)
     trials: list[Trial] = []
     best: Plan | None = None
+    excluded: dict[tuple[int, ...], bool] = {}
     for attempt in _list_attempts(task, options, trials):
         if trials and budget.left <= 0.0:
             break
+        if _exclude_pieces(task, attempt, trials, excluded, max_impacts, budget, options):
+            continue
         if best is not None and not attempt.may_improve(several=len(scenario.objects) > 1):
             continue
         enough = options.enough * (1.0 if options.thorough else 0.5**attempt.halvings)
@@ -167,6 +170,37 @@ def _plan_task(
     complete = budget.left > 0.0
     verdict = judge_trials(trials, least, max_impacts, budget, complete)
     raise _explain(verdict, least, max_impacts, budget, options)
+
+
+def _exclude_pieces(
+    task: NominalTask,
+    attempt: Attempt,
+    trials: list[Trial],
+    excluded: dict[tuple[int, ...], bool],
+    max_impacts: int,
+    budget: Budget,
+    options: PlanOptions,
+) -> bool:
+    """Return whether no attempt with so many pieces has a plan; a proof for the least reserves is added to the trials.
+
+    It is tried once for every number of pieces, and where all attempts so far were proofs: a task without a plan is
+    then told by one model instead of six, and there is time for every number of pieces.
+    """
+    scenario, pieces = task.scenario, attempt.pieces
+    alone = len(scenario.objects) == 1 and not scenario.starts_moving
+    if not options.thorough or not alone or not trials or not all(trial.is_proof for trial in trials):
+        return False
+    if pieces not in excluded:
+        least = attempt.cut_to_least(task, options)
+        with budget.stage("screening"):
+            excluded[pieces] = is_excluded(
+                least, max(pieces), max_impacts, options.least, options.proof_share * budget.left
+            )
+        if excluded[pieces]:
+            status = f"proven infeasible with up to {max_impacts} impacts and the least of the planner's reserves"
+            failure = Infeasible(f"plan of {scenario.name}", status, "allow more impacts or time")
+            trials.append(Trial(Attempt(pieces, options.halvings), failure))
+    return excluded[pieces]
 
 
 def _list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Trial]) -> Iterator[Attempt]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from planners.budget import read_clock
 from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.specification.grid import GridSize
@@ -40,6 +41,34 @@ def exclude_size(task: NominalTask, size: GridSize, rho: tuple[float, float], ti
         solve(grid.model, time_limit, math.inf, task.solver, work=task.work, nodes=task.easy_nodes)
     except SolverFailed:  # nothing is proven
         return
+
+
+def is_excluded(task: NominalTask, pieces: int, max_impacts: int, least: float, time_limit: float) -> bool:
+    """Return whether a task is proven to have no plan with so many pieces per leg, within a limit of nodes and time.
+
+    Args:
+        task: what is asked, with the least reserves of which the proof is to tell.
+        pieces: per leg.
+        max_impacts: greatest number of impacts.
+        least: robustness that a plan must have [m].
+        time_limit: of all proofs together [s].
+    """
+    rho = (least, compute_geometric_bound(task.scenario, task.demands, task.solver))
+    if rho[1] < least:
+        return True
+    end = read_clock() + time_limit
+    for impacts in range(max_impacts + 1):
+        if read_clock() >= end:
+            return False
+        try:
+            grid, _ = task.build(GridSize(impacts, pieces, passing=True), rho)
+            solve(grid.model, end - read_clock(), math.inf, task.solver, work=task.work, nodes=task.proof_nodes)
+        except Infeasible:
+            continue
+        except SolverFailed:  # nothing is proven
+            pass
+        return False
+    return True
 
 
 def screen_task(task: NominalTask, max_impacts: int, options: PlanOptions) -> None:

@@ -33,6 +33,7 @@ class NominalTask:
         corrections: least times between events, and room for impacts, beyond those of the reserves.
         sharp: whether speeds of several objects are capped by what a word says of their first and last impacts.
         easy_nodes: of branch and bound, in proofs that leave out what is in the way.
+        proof_nodes: of branch and bound, in proofs for the least of all reserves.
     """
 
     scenario: FreeFlyerScenario
@@ -44,6 +45,7 @@ class NominalTask:
     corrections: tuple[Correction, ...] = ()
     sharp: bool = False
     easy_nodes: int = 200
+    proof_nodes: int = 1000
 
     def build(
         self,
@@ -206,6 +208,8 @@ class PlanOptions:
         many_impacts: from which on it is looked first whether there are as many without anything in the way, see
             `exclude_size`; the shipped scenarios have fewer.
         halvings: how often the reserves are halved for a task that leaves no room for them.
+        proof_share: share of the time left that it may take to prove, with the least of all reserves at once, that a
+            number of pieces per leg has no plan; where it has one, the first point found ends it.
         brisk: factor of the time in which robots reach the speed of a leg, where their thrust limits this speed and the
             event grid has no plan.
         turns: factors of the time for starting and stopping, tried when motions prove too quick to be smoothed.
@@ -241,6 +245,7 @@ class PlanOptions:
     screen: bool = False
     many_impacts: int = 3
     halvings: int = 2
+    proof_share: float = 0.3
     brisk: float = 2.0
     turns: tuple[float, ...] = (1.0, 1.5)
     words: int = 3

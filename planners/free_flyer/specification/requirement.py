@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -102,7 +102,7 @@ def read_demands(scenario: FreeFlyerScenario, wall: float) -> Demands:
         conjuncts[str(conjunct)] = compute_normal_form(conjunct.expand(scenario.bodies))
     nodes = [node for formula in conjuncts.values() for node in formula.walk()]
     predicates = {node: _read_predicate(scenario, node) for node in nodes if isinstance(node, Predicate)}
-    named = {text for formula in conjuncts.values() for text in _hold_throughout(scenario, formula, 0.0, 0.0)}
+    named = {str(predicate) for predicate in list_held_throughout(scenario, conjuncts.values())}
     solids = []
     for name, obstacle in scenario.obstacles.items():
         for body in scenario.bodies if obstacle.solid else ():
@@ -117,8 +117,18 @@ def read_demands(scenario: FreeFlyerScenario, wall: float) -> Demands:
     return Demands(conjuncts, predicates, tuple(solids), scenario.world.diagonal)
 
 
-def _hold_throughout(scenario: FreeFlyerScenario, formula: Formula, start: float, end: float) -> Iterator[str]:
-    """Yield the predicates that the formula holds over the whole horizon."""
+def list_held_throughout(scenario: FreeFlyerScenario, conjuncts: Iterable[Formula]) -> Iterator[Predicate]:
+    """Yield the predicates that conjuncts in normal form hold over the whole horizon.
+
+    Args:
+        scenario: its horizon.
+        conjuncts: of its formula.
+    """
+    for conjunct in conjuncts:
+        yield from _hold_throughout(scenario, conjunct, 0.0, 0.0)
+
+
+def _hold_throughout(scenario: FreeFlyerScenario, formula: Formula, start: float, end: float) -> Iterator[Predicate]:
     match formula:
         case And(operands):
             for part in operands:
@@ -126,7 +136,7 @@ def _hold_throughout(scenario: FreeFlyerScenario, formula: Formula, start: float
         case Always((lower, upper), child):
             yield from _hold_throughout(scenario, child, start + lower, end + upper)
         case Predicate() if start == 0.0 and end >= scenario.horizon:
-            yield str(formula)
+            yield formula
 
 
 def _read_predicate(scenario: FreeFlyerScenario, predicate: Predicate) -> Requirement:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
 from impact_envs.stl import Always, And, Distance, Eventually, Formula, Or, Predicate, Until
 from planners.free_flyer.specification.negation_normal_form import Release
-from planners.free_flyer.specification.requirement import Demands, Requirement
-from planners.mixed_integer import Model
+from planners.free_flyer.specification.requirement import Demands, Requirement, list_held_throughout
+from planners.mixed_integer import Model, evaluate
 from planners.solvers import solve
 
 
 def compute_geometric_bound(scenario: FreeFlyerScenario, demands: Demands, solver: str = "highs") -> float:
     """Return a robustness that no plan of any kind can exceed.
 
-    A predicate is bounded by its value at the best place in the world (the inradius of an area to be in), and is exact
-    at fixed starts and goals. Operators combine bounds as they combine robustness.
+    A predicate is bounded by its value at the best place in the world (the inradius of an area to be in, of the part
+    that no obstacle takes), and is exact at fixed starts and goals. Operators combine bounds as they combine
+    robustness. That a place is bounded by what is avoided at all times as well is right for operators, too: a body at
+    a better place is nearer to an obstacle than the bound, which bounds the whole formula.
 
     Args:
         scenario: world, starts and goals.
@@ -37,6 +42,8 @@ class _Bound:
     def __init__(self, scenario: FreeFlyerScenario, demands: Demands, solver: str) -> None:
         self.scenario, self.demands, self.solver = scenario, demands, solver
         self._places: dict[Predicate, float] = {}
+        throughout = [demands.predicates[part] for part in list_held_throughout(scenario, demands.conjuncts.values())]
+        self._avoided = [need for need in (*throughout, *demands.solids) if need.kind == "avoid" and not need.others]
 
     def least(self, formula: Formula, start: float, end: float) -> float:
         """Return a bound of min over [start, end]; the value at any instant is one, and so is the greatest value."""
@@ -91,7 +98,8 @@ class _Bound:
     def _best_place(self, predicate: Predicate) -> float:
         scenario, need = self.scenario, self.demands.predicates[predicate]
         if need.kind == "stay" and not need.others:
-            return compute_inradius(scenario, need, self.solver)
+            avoided = [other for other in self._avoided if other.body == need.body]
+            return compute_inradius(scenario, need, avoided, self.solver)
         spans = list(zip(scenario.world.lower, scenario.world.upper, strict=True))
         ranges = {f"{name}.{axis}": spans[k] for name in need.bodies for k, axis in enumerate("xy")}
         best = predicate.margin(scenario.areas).range(ranges)[1]
@@ -100,13 +108,21 @@ class _Bound:
         return best
 
 
-def compute_inradius(scenario: FreeFlyerScenario, need: Requirement, solver: str = "highs") -> float:
-    """Return the radius of the largest disc in the area of a requirement whose middle is in the world [m].
+def compute_inradius(
+    scenario: FreeFlyerScenario, need: Requirement, avoided: Sequence[Requirement] = (), solver: str = "highs"
+) -> float:
+    """Return the radius of the largest disc in an area whose middle is in the world, and clear of obstacles [m].
+
+    The disc touches no area to avoid, and a body in its middle no solid obstacle.
 
     Args:
         scenario: the world.
-        need: of one body.
-        solver: of a linear problem.
+        need: of one body to be in the area.
+        avoided: areas that the body avoids at all times.
+        solver: of a linear problem; with areas to avoid in the way, of a mixed-integer one.
+
+    Returns:
+        The radius; negative: by so much the area is too small, or too near to obstacles.
     """
     model = Model(f"inradius of {need.text}")
     point = model.vector(np.array(scenario.world.lower), np.array(scenario.world.upper))
@@ -116,5 +132,22 @@ def compute_inradius(scenario: FreeFlyerScenario, need: Requirement, solver: str
     for distance in beyond:
         model.require(distance + rho)
     model.objective = -rho
+    found = solve(model, np.inf, solver=solver)
+    place = evaluate(list(point), found.x)
+    touching = scenario.body(need.body).radius
+
+    def list_lacks(other: Requirement, place: Any, rho: Any) -> list[list[Any]]:
+        faces = [bound - face @ place for face, bound in zip(other.faces, other.bounds, strict=True)]
+        kept = ([rho] if other.scored else []) + ([touching] if other.clearance else [])
+        return [[face + distance for distance in kept] for face in faces]
+
+    near = [other for other in avoided if min(map(max, list_lacks(other, place, -found.objective))) > 0.0]
+    if near:
+        # Elsewhere in the area there may be as much room.
+        (index,) = rho.coefficients
+        model.lower[index] = -scenario.world.diagonal
+        for other in avoided:
+            model.require_any(list_lacks(other, point, rho))
+        found = solve(model, np.inf, solver=solver)
     # An upper bound remains one when it is rounded up.
-    return float(np.round(-solve(model, np.inf, solver=solver).bound + 5e-10, 9))
+    return float(np.round(-found.bound + 5e-10, 9))

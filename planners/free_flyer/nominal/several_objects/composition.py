@@ -75,13 +75,10 @@ def compose_objects(
     """
     if any(any(body.start_velocity) or not body.rest for body in task.scenario.objects.values()):
         return None  # objects that fly while others are hit need straight flights
+    known: dict[tuple[str, ...], Done | PlanningError] = {}
     for order in itertools.permutations(numbers):
         try:
-            done = Done((), np.zeros(0), {name: np.zeros((0, 2)) for name in task.scenario.bodies})
-            for place, name in enumerate(order):
-                later = sum(numbers[other] for other in order[place + 1 :])
-                allowed = range(numbers[name], max_impacts - len(done.word) - later + 1)
-                done = append_object(task, done, order[: place + 1], allowed, pieces, rho[0], find_time_left, options)
+            done = _append_in_order(task, order, numbers, max_impacts, pieces, rho[0], find_time_left, known, options)
         except PlanningError:
             if find_time_left() <= 0.0:
                 return None
@@ -91,6 +88,44 @@ def compose_objects(
         except PlanningError:
             continue
     return None
+
+
+def _append_in_order(
+    task: NominalTask,
+    order: tuple[str, ...],
+    numbers: Mapping[str, int],
+    max_impacts: int,
+    pieces: int,
+    rho: float,
+    find_time_left: Callable[[], float],
+    known: dict[tuple[str, ...], Done | PlanningError],
+    options: PlanOptions,
+) -> Done:
+    """Return what is done once all objects of an order are done; orders that begin alike share their beginning.
+
+    Args:
+        order: names of the objects.
+        known: first objects of orders to what is done of them, or to why nothing is; gets more.
+        task, numbers, max_impacts, pieces, rho, find_time_left, options: as for `compose_objects`.
+
+    Raises:
+        PlanningError: some object cannot be done.
+    """
+    done = Done((), np.zeros(0), {name: np.zeros((0, 2)) for name in task.scenario.bodies})
+    for place, name in enumerate(order):
+        first = order[: place + 1]
+        if first not in known:
+            later = sum(numbers[other] for other in order[place + 1 :])
+            allowed = range(numbers[name], max_impacts - len(done.word) - later + 1)
+            try:
+                known[first] = append_object(task, done, first, allowed, pieces, rho, find_time_left, options)
+            except PlanningError as error:
+                known[first] = error
+        found = known[first]
+        if isinstance(found, PlanningError):
+            raise found
+        done = found
+    return done
 
 
 def is_large(task: NominalTask, numbers: Mapping[str, int], pieces: int, options: PlanOptions) -> bool:
