@@ -2,7 +2,9 @@
 
     OMP_NUM_THREADS=1 python benchmarks/tasks.py --count 100 --out tasks.json
 
-Tasks are sensible, not all are feasible: bodies start apart, areas are larger than bodies, horizons leave time.
+Tasks are sensible, not all are feasible: bodies start apart, areas are larger than bodies, horizons leave time. With
+`--confirm 120` a task that is proven infeasible is planned again, with more impacts, four pieces a leg and less of all
+reserves: a plan found then disproves the first verdict as a word about the task, not about the planner's restrictions.
 Ctrl-C prints what has been planned so far.
 """
 
@@ -14,7 +16,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import median
 from typing import Any, Literal
@@ -29,9 +31,12 @@ from impact_envs.stream import check_seed
 from planners.budget import Clock, get_clock, use_clock
 from planners.errors import Infeasible, PlanningError
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
+from planners.free_flyer.nominal.task import PlanOptions
+from planners.free_flyer.reserves import Reserves
 
 KINDS = ("reach", "hold", "visit", "order", "until", "nested", "either")
 PLANNED, PROVEN, UNDECIDED = "planned", "proven infeasible", "undecided"
+AGREES, DISAGREES, OPEN = "agrees", "disagrees", "open"  # what the finer encoding says of a proof
 PERIOD = 0.1  # control period [s]
 
 
@@ -47,6 +52,8 @@ class Args:
     """Of each [s]."""
     clock: Literal["wall", "cpu"] = "wall"
     """What times and limits are measured by: this process's own time says more on a busy machine."""
+    confirm: float = 0.0
+    """Time for a second, finer encoding of each task that is proven infeasible; 0: none is planned again [s]."""
     scenarios: Path | None = None
     """Write the tasks into this folder, as JSON that `build_scenario` takes."""
     out: Path | None = None
@@ -67,6 +74,24 @@ class Row:
     robustness: float | None = None
     bound: float | None = None
     message: str = ""
+    confirmed: str = ""
+
+
+@dataclass(frozen=True)
+class Finer:
+    """Choose the encoding that confirms proofs.
+
+    Args:
+        more_impacts: than the planner tries by itself.
+        options: four pieces a leg hold all that one and two do; every model is solved, none is screened.
+        reserves: at first; they are halved once more: an eighth where the planner itself goes down to a quarter.
+    """
+
+    more_impacts: int = 2
+    options: PlanOptions = field(
+        default_factory=lambda: PlanOptions(pieces=(4,), most_pieces=4, halvings=1, proof_share=0.0, diagnosis=0.0)
+    )
+    reserves: Reserves = field(default_factory=lambda: Reserves().halved().halved())
 
 
 def draw_task(seed: int) -> tuple[str, dict[str, Any]]:
@@ -210,6 +235,26 @@ def plan_task(seed: int, kind: str, data: dict[str, Any], time_limit: float) -> 
     return Row(seed, kind, *counts, PLANNED, read() - start, plan.robustness, plan.bound)
 
 
+def confirm_proof(data: dict[str, Any], time_limit: float, finer: Finer = Finer()) -> str:
+    """Return what a finer encoding says of a task that is proven infeasible: it agrees, disagrees, or is open.
+
+    Args:
+        data: as from `draw_tasks`.
+        time_limit: [s].
+        finer: encoding.
+    """
+    scenario = build_scenario(data, source=data["name"])
+    assert isinstance(scenario, FreeFlyerScenario)
+    most = 3 + 3 * len(scenario.objects) + finer.more_impacts
+    try:
+        make_free_flyer_plan(scenario, most, time_limit, reserves=finer.reserves, options=finer.options)
+    except Infeasible:
+        return AGREES
+    except PlanningError:
+        return OPEN
+    return DISAGREES
+
+
 def print_table(rows: list[Row]) -> None:
     """Print the outcomes by kind, and of all tasks."""
     heads = f"{PLANNED:>8} {'at bound':>8} {'proven':>7} {UNDECIDED:>9} {'median s':>8} {'most s':>7}"
@@ -223,12 +268,17 @@ def print_table(rows: list[Row]) -> None:
         times = [row.seconds for row in own]
         outcomes = f"{counts[PLANNED]:8d} {best:8d} {counts[PROVEN]:7d} {counts[UNDECIDED]:9d}"
         print(f"{kind:8} {len(own):5d} {outcomes} {median(times):8.1f} {max(times):7.1f}")
+    told = Counter(row.confirmed for row in rows if row.confirmed)
+    if told:
+        print("proofs and the finer encoding:", ", ".join(f"{told[one]} {one}" for one in (AGREES, DISAGREES, OPEN)))
 
 
 def main(args: Args) -> None:
     """Plan the tasks and print the table."""
     check_count("count", args.count)
     check_seed(args.seed)
+    if not args.confirm >= 0.0:
+        raise InputError(f"confirm = {args.confirm}: a number of at least 0 is needed [s]")
     if not args.time_limit > 0.0:
         raise InputError(f"time_limit = {args.time_limit}: a number above 0 is needed [s]")
     rows: list[Row] = []
@@ -239,10 +289,12 @@ def main(args: Args) -> None:
                 args.scenarios.mkdir(parents=True, exist_ok=True)
                 (args.scenarios / f"{data['name']}.json").write_text(json.dumps(data, indent=1))
             with use_clock(clock):
-                rows.append(plan_task(seed, kind, data, args.time_limit))
-            row = rows[-1]
+                row = plan_task(seed, kind, data, args.time_limit)
+                if row.outcome == PROVEN and args.confirm:
+                    row = replace(row, confirmed=confirm_proof(data, args.confirm))
+            rows.append(row)
             found = row.message[:150] if row.robustness is None else f"{row.robustness:.3f} of {row.bound:.3f} m"
-            print(f"{seed} {kind:7} {row.outcome:17} {row.seconds:6.1f} s  {found}", flush=True)
+            print(f"{seed} {kind:7} {row.outcome:17} {row.seconds:6.1f} s {row.confirmed} {found}", flush=True)
     except KeyboardInterrupt:
         print("interrupted")
     print_table(rows)

@@ -193,9 +193,10 @@ def _exclude_pieces(
     if pieces not in excluded:
         least = attempt.cut_to_least(task, options)
         with budget.stage("screening"):
-            excluded[pieces] = is_excluded(
-                least, max(pieces), max_impacts, options.least, options.proof_share * budget.left
-            )
+            limit, most = options.proof_share * budget.left, max(pieces)
+            # So many pieces allow all that half or a third of them do.
+            tried = [number for number in pieces if number == most or most % number]
+            excluded[pieces] = all(is_excluded(least, number, max_impacts, options.least, limit) for number in tried)
         if excluded[pieces]:
             status = f"proven infeasible with up to {max_impacts} impacts and the least of the planner's reserves"
             failure = Infeasible(f"plan of {scenario.name}", status, "allow more impacts or time")
