@@ -70,7 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             result = command.run()
         result.setdefault("wall_seconds", time.perf_counter() - start)
     except InputError as error:
-        print(f"impact: {error}", file=sys.stderr)
+        # Where in the user's own code a policy failed; the line comes last.
+        print(f"{getattr(error, 'trace', '')}impact: {error}", file=sys.stderr)
         return 2
     except OSError as error:
         if error.filename is None and error.errno not in DISK:  # not about a file

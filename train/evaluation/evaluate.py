@@ -173,14 +173,17 @@ def evaluate_cases(
         for label in labels
         for number in range(seed, seed + episodes)
     ]
-    out = write_uri(out) if out is not None and is_uri(out) else out
+    shared = out is not None and is_uri(out)
+    out = write_uri(out) if out is not None and shared else out
     # Behind a URI nobody can lock: two who write there write the same rows under the same names.
-    with lock_folder(out) if out is not None and not is_uri(out) else nullcontext():
+    with nullcontext() if out is None or shared else lock_folder(out):
         journal = Journal(out, _digests(cases, labels)) if out is not None else None
         rows = dict(journal.rows) if journal else {}
         missing = [job for job in jobs if _key(cases, job) not in rows]
-        if journal:
-            journal.write_manifest(_describe(cases, labels, episodes, seed))
+        request = _describe(cases, labels, episodes, seed)
+        # In a folder, not before there is an episode to describe: a policy that fails at once leaves nothing behind.
+        if journal and (shared or not missing):
+            journal.write_manifest(request)
         cases = make_plans(cases, missing)
         bar = (TextColumn("evaluating"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         # Closed, not left to the garbage collector: an interruption must reach the workers at once.
@@ -189,9 +192,11 @@ def evaluate_cases(
             Progress(*bar, console=Console(stderr=True), disable=not progress) as shown,
             closing(_play(cases, labels, missing, batched, workers, out, launcher, sizes or ShardSizes())) as outcomes,
         ):
-            for row, replay in shown.track(outcomes, total=len(missing)):
+            for place, (row, replay) in enumerate(shown.track(outcomes, total=len(missing))):
                 rows[row_key(row)] = row
                 if journal:
+                    if place == 0 and not shared:
+                        journal.write_manifest(request)
                     journal.append(row, replay)
         table = pd.DataFrame([rows[_key(cases, job)] for job in jobs])
         return _sum_up(table, cases, len(missing), start, journal)

@@ -18,12 +18,14 @@ def lock_folder(folder: str | Path) -> Iterator[None]:
     """Keep other evaluations and trainings out of a folder.
 
     Args:
-        folder: made if missing. Its file ``.lock`` stays; only the operating system's lock on it counts.
+        folder: made if missing. Its file ``.lock`` stays, for only the operating system's lock on it counts; but a
+            folder made here goes again where what was to be written in it fails before anything is.
 
     Raises:
         InputError: another process, or another call in this one, writes there; or the folder cannot be written.
     """
     path = Path(folder) / NAME
+    is_new = not path.parent.exists()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
@@ -43,6 +45,11 @@ def lock_folder(folder: str | Path) -> Iterator[None]:
             os.ftruncate(file, 0)
             os.write(file, f" {os.getpid()}".encode())
         yield
+    except BaseException:
+        if is_new and os.listdir(path.parent) == [NAME]:
+            path.unlink()
+            path.parent.rmdir()
+        raise
     finally:
         os.close(file)
 

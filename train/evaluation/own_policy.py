@@ -37,6 +37,16 @@ class OwnPolicy(str):
     factory: Factory
 
 
+class OwnCodeFailed(InputError):
+    """The user's policy failed while it played.
+
+    Attributes:
+        trace: where in the user's code, as Python prints it; empty if that was not told.
+    """
+
+    trace = ""
+
+
 class _Judged:
     """A user's policy with what the evaluation asks for besides actions.
 
@@ -52,19 +62,25 @@ class _Judged:
     def reset(self, seed: int) -> None:
         """Forget the last episode."""
         self._seconds = []
-        self._policy.reset(seed)
+        with _blame_play(self.name, "reset"):
+            self._policy.reset(seed)
 
     def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return each agent's action."""
         start = time.perf_counter()
-        actions = self._policy.act(observations)
+        with _blame_play(self.name, "act"):
+            actions: dict[str, np.ndarray] = self._policy.act(observations)
         self._seconds.append(time.perf_counter() - start)
         return actions
 
     def diagnostics(self) -> Diagnostics:
         """Return what the policy says of its work; without its word, how long each control step took."""
         say = getattr(self._policy, "diagnostics", None)
-        return say() if say else Diagnostics(solve_seconds=list(self._seconds))
+        if say is None:
+            return Diagnostics(solve_seconds=list(self._seconds))
+        with _blame_play(self.name, "diagnostics"):
+            said: Diagnostics = say()
+        return said
 
 
 def is_own(policy: str) -> bool:
@@ -224,6 +240,23 @@ def _blame(policy: str) -> Iterator[None]:
             last = traceback.extract_tb(error.__traceback__)[-1]
             place, says = f"{last.filename}, line {last.lineno}", " ".join(str(error).split())
         raise InputError(f"policy '{policy}': {type(error).__name__} in {place}: {says}") from error
+
+
+@contextmanager
+def _blame_play(policy: str, method: str) -> Iterator[None]:
+    """Name the policy and its method in what the user's code raises while it plays; the trace comes with it."""
+    try:
+        yield
+    except (InputError, PlanningError):
+        raise
+    except Exception as error:
+        frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename != __file__]
+        place = f"{frames[-1].filename}, line {frames[-1].lineno}" if frames else "no file"
+        says = " ".join(str(error).split())
+        failed = OwnCodeFailed(f"policy '{policy}': {method} raised {type(error).__name__} in {place}: {says}")
+        text = [*traceback.format_list(frames), *traceback.format_exception_only(error)]
+        failed.trace = "".join(["Traceback (most recent call last):\n", *text])
+        raise failed from error
 
 
 @contextmanager

@@ -114,6 +114,56 @@ def test_code_that_fails_is_named_with_its_line(folder, capsys, text, words):
     assert not (folder / "a.csv").exists()
 
 
+FRAGILE = """
+import numpy as np
+from impact_envs.rollout import Diagnostics
+
+class Fragile:
+    def __init__(self, scenario):
+        self.agents = scenario.agents
+
+    def reset(self, seed):
+        {reset}
+
+    def act(self, observations):
+        return {{agent: self.push(observations[agent]) for agent in self.agents}}
+
+    def push(self, seen):
+        return {push}
+
+    def diagnostics(self):
+        {diagnostics}
+"""
+SOUND = {
+    "reset": "pass",
+    "push": "np.zeros(3)",
+    "diagnostics": "return Diagnostics()",
+}
+
+
+@pytest.mark.parametrize(
+    ("method", "broken", "line", "workers"),
+    [
+        ("reset", {"reset": "self.missing"}, 10, "1"),
+        ("act", {"push": "seen[:3] @ np.ones(4)"}, 16, "1"),
+        ("act", {"push": "seen[:3] @ np.ones(4)"}, 16, "2"),
+        ("diagnostics", {"diagnostics": "raise RuntimeError('of mine')"}, 19, "1"),
+    ],
+)
+def test_code_that_fails_while_it_plays_is_named_and_leaves_nothing(folder, capsys, method, broken, line, workers):
+    (folder / "fragile.py").write_text(FRAGILE.format(**SOUND | broken))
+    words = ("--policies", "fragile.py:Fragile", "--episodes", "2", "--out", "o", "--workers", workers)
+    assert main(("evaluate", "throw_and_catch", *words)) == 2
+    said = capsys.readouterr().err
+    last = said.strip().splitlines()[-1]
+    assert last.startswith(f"impact: policy 'fragile.py:Fragile': {method} raised "), last
+    assert f"fragile.py, line {line}: " in last
+    trace = said.rpartition("Traceback (most recent call last):")[2]
+    assert f'fragile.py", line {line}' in trace
+    assert "own_policy.py" not in trace  # of the user's code alone
+    assert not (folder / "o").exists()
+
+
 def test_own_policy_is_judged_as_its_equal_is(folder):
     labels = {"zero": "zero", "mine": lambda scenario: ZeroPolicy(parallel_env(scenario))}
     result = evaluate(["throw_and_catch"], labels, episodes=2, progress=False)
