@@ -67,7 +67,7 @@ class Args:
     """Times that the cost rises after an evaluation that lost success."""
     failure_fall: float = 0.8
     """Times that the cost falls after an evaluation that did not."""
-    loss: float = 0.0075
+    loss: float = 0.005
     """Success, of all tuning episodes, that a policy may lose and yet be kept."""
     shares: tuple[float, ...] = (1.0, 0.75, 0.5, 0.25)
     """Of its corrections with which a policy is tried, one after the other, until it loses no success."""
@@ -128,7 +128,7 @@ class TuneArgs:
     """A failure counts no more than so many times the expert's median robustness."""
     failure: float = 0.5
     """Cost of a failure beside its robustness, times the expert's median robustness."""
-    loss: float = 0.0075
+    loss: float = 0.005
     """Success, of all seeds of the choice, that a constant may lose and yet be kept."""
     shares: tuple[float, ...] = (1.0, 0.75, 0.5, 0.25)
     """Of a finalist that are tried, one after the other, until it loses no success."""

@@ -12,6 +12,8 @@ from agents.play import Played
 from agents.sb3 import compute_advantages
 from train.arguments import Args
 
+ROUNDING = 1e-9  # of a share of episodes: who loses just as much as is allowed may be kept
+
 
 def compute_scores(robustness: np.ndarray, scale: float, worst: float) -> np.ndarray:
     """Return what an episode is worth to the learner: max(rho / scale, -worst), shape (E,).
@@ -31,7 +33,7 @@ def rate_evaluation(evaluation: dict[str, Any], loss: float) -> float:
 
 def loses_success(evaluation: dict[str, Any], loss: float) -> bool:
     """Return whether a policy succeeds less often than the expert, by more than a share of the episodes."""
-    return bool(evaluation["success_rate"] < evaluation["expert_success_rate"] - loss)
+    return bool(evaluation["success_rate"] < evaluation["expert_success_rate"] - loss - ROUNDING)
 
 
 def compare_episodes(args: Args, played: Played, scale: float, failure: float) -> np.ndarray:
