@@ -93,8 +93,8 @@ def test_arguments_that_make_no_sense_leave_nothing(tmp_path: Path) -> None:
     for run in (TrainingRun("train", replace(ARGS, seed=-1), ""), TrainingRun("tune", TuneArgs(seed=-1), "")):
         with pytest.raises(InputError, match="seed -1"):
             launch_runs(LocalLauncher(), [replace(run, out=name_folder(tmp_path, run.script))], progress=False)
+    run = TrainingRun("train", replace(ARGS, suite=("hrad",)), name_folder(tmp_path, "suite"))
     with pytest.raises(InputError, match="suite 'hrad'"):
-        run = TrainingRun("train", replace(ARGS, suite=("hrad",)), name_folder(tmp_path, "suite"))
         launch_runs(LocalLauncher(), [run], progress=False)
     assert not list(tmp_path.iterdir())
 
