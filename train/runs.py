@@ -136,6 +136,7 @@ def do_run(run: TrainingRun) -> dict[str, Any]:
     if begun is None:
         if folder.read(DESCRIPTION) is not None:
             raise InputError(f"{folder}: holds a policy of another command; choose another out")
+        _check(run)
         _write_result(folder, args, None)
     if isinstance(folder, LocalFolder) and run.script == "train":
         result = _call_script(run, folder.path, None)
@@ -145,6 +146,19 @@ def do_run(run: TrainingRun) -> dict[str, Any]:
     result |= {"out": run.out}
     _write_result(folder, args, result)
     return result
+
+
+def _check(run: TrainingRun) -> None:
+    """Raise InputError unless a run's arguments make sense, before anything is written."""
+    # Imported here: that a run has ended is found out without a learner.
+    if isinstance(run.args, TuneArgs):
+        from train.tune import check_args as check_tuning
+
+        return check_tuning(run.args)
+    from train.ground import fill_args, read_cases
+    from train.residual import check_args
+
+    return check_args(fill_args(run.args, read_cases(run.args)))
 
 
 def _run_elsewhere(run: TrainingRun, folder: Folder, here: Path) -> dict[str, Any]:
@@ -159,7 +173,6 @@ def _run_elsewhere(run: TrainingRun, folder: Folder, here: Path) -> dict[str, An
 
 
 def _call_script(run: TrainingRun, out: Path, saved: Callable[[], None] | None) -> dict[str, Any]:
-    # Imported here: that a run has ended is found out without a learner.
     if isinstance(run.args, TuneArgs):
         from train.tune import main as tune
 

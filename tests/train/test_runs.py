@@ -89,6 +89,16 @@ def test_seeds_of_the_command_are_runs_of_their_own(
     assert "two runs of the same folder" in capsys.readouterr().err
 
 
+def test_arguments_that_make_no_sense_leave_nothing(tmp_path: Path) -> None:
+    for run in (TrainingRun("train", replace(ARGS, seed=-1), ""), TrainingRun("tune", TuneArgs(seed=-1), "")):
+        with pytest.raises(InputError, match="seed -1"):
+            launch_runs(LocalLauncher(), [replace(run, out=name_folder(tmp_path, run.script))], progress=False)
+    run = TrainingRun("train", replace(ARGS, suite=("hrad",)), name_folder(tmp_path, "suite"))
+    with pytest.raises(InputError, match="suite 'hrad'"):
+        launch_runs(LocalLauncher(), [run], progress=False)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_grid_has_every_combination() -> None:
     points = list_points(["true.restitution=[0.5,0.7]", "expert.tracker=['lqr','mpc']"])
     assert points[1] == (("true.restitution", 0.5), ("expert.tracker", "mpc"))

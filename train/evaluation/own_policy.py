@@ -79,7 +79,9 @@ class _Judged:
         if say is None:
             return Diagnostics(solve_seconds=list(self._seconds))
         with _blame_play(self.name, "diagnostics"):
-            said: Diagnostics = say()
+            said = say()
+        if not isinstance(said, Diagnostics):
+            raise InputError(f"policy '{self.name}': diagnostics returned {said!r:.60}; Diagnostics are needed")
         return said
 
 

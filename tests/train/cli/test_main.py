@@ -71,14 +71,14 @@ def test_set_reaches_world_and_expert_and_is_printed(capsys):
 
 def test_help_and_list_import_no_learner_and_no_tables():
     heavy = ("torch", "stable_baselines3", "pandas", "matplotlib", "scipy.stats", "highspy", "casadi", "cvxpy")
-    for arguments in (["list"], ["train", "--help"], ["--help"]):
-        code = (
-            "import sys\nfrom train.cli.main import main\n"
-            f"try:\n    main({arguments})\nexcept SystemExit:\n    pass\n"
-            f"print([name for name in {heavy} if name in sys.modules], file=sys.stderr)"
-        )
-        said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-        assert said.stderr.strip() == "[]", arguments
+    code = (
+        "import sys\nfrom train.cli.main import main\n"
+        "for arguments in (['list'], ['train', '--help'], ['--help']):\n"
+        "    try:\n        main(arguments)\n    except SystemExit:\n        pass\n"
+        f"    print(arguments, [name for name in {heavy} if name in sys.modules], file=sys.stderr)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stderr.splitlines() == ["['list'] []", "['train', '--help'] []", "['--help'] []"]
 
 
 def test_train_takes_every_argument_of_its_script(capsys):

@@ -164,6 +164,13 @@ def test_code_that_fails_while_it_plays_is_named_and_leaves_nothing(folder, caps
     assert not (folder / "o").exists()
 
 
+def test_what_are_no_diagnostics_is_named(folder, capsys):
+    (folder / "fragile.py").write_text(FRAGILE.format(**SOUND | {"diagnostics": "return 7"}))
+    assert main(("run", "throw_and_catch", "--policy", "fragile.py:Fragile")) == 2
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last == "impact: policy 'fragile.py:Fragile': diagnostics returned 7; Diagnostics are needed"
+
+
 def test_own_policy_is_judged_as_its_equal_is(folder):
     labels = {"zero": "zero", "mine": lambda scenario: ZeroPolicy(parallel_env(scenario))}
     result = evaluate(["throw_and_catch"], labels, episodes=2, progress=False)
