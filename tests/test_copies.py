@@ -16,14 +16,19 @@ from impact_envs import gym_id, load_scenario, parallel_env, rollout, vector_env
 from impact_envs.rollout import RandomPolicy, ZeroPolicy
 from impact_envs.stl import parse
 from impact_envs.stl.monitor import Monitor
-from planners import make_expert, make_expert_batch, make_plan
+from planners import make_expert, make_expert_batch
+from tests.frozen.freeze import get_plan
 from train.evaluation.player import checkpoint_directory
 
 FRESH, STARTED, UNDER_WAY = 0, 1, 2
 STEPS = 8
 SEED = 1_000_003
 DISTURBED = {"throw_and_catch": "all", "floating_manipulator_thrusters": "all", "dual_arm_grasp": "all"}
-plan_of = cache(make_plan)
+
+
+@cache
+def plan_of(name):
+    return get_plan(name, "nominal")
 
 
 def load(name):
@@ -34,11 +39,12 @@ class Player:
     """What is copied: something that steps, with the steps already made; subclasses say how it starts and steps."""
 
     steps = 0
+    count = STEPS  # made by each go_on
 
     def go_on(self):
         """Start if it has not, make some steps, and return a digest of all that was seen."""
         seen = [] if self.steps else [self.start()]
-        for _ in range(STEPS):
+        for _ in range(self.count):
             self.steps += 1
             seen.append(self.step(np.random.default_rng(self.steps)))
         return sha256(repr(flatten(seen)).encode()).hexdigest()
@@ -72,8 +78,8 @@ class Environment(Player):
 
     over = False
 
-    def __init__(self, env):
-        self.env = env
+    def __init__(self, env, count=STEPS):
+        self.env, self.count = env, count
 
     def start(self):
         return self.env.reset(seed=SEED)
@@ -162,10 +168,9 @@ class Watched(Player):
 
 def residual(name, checkpoint):
     scenario = load_scenario(name)
-    return ResidualPolicy.load(checkpoint_directory(checkpoint), scenario, plan_of(name) if name in PLANNED else None)
+    return ResidualPolicy.load(checkpoint_directory(checkpoint), scenario, plan_of(name))
 
 
-PLANNED = ("throw_and_catch", "corridor")
 DISTURBED |= {"corridor": "hard", "pong": "hard"}
 MAKERS = {
     **{f"ParallelEnv {name}": lambda name=name: Parallel(parallel_env(load(name))) for name in DISTURBED},
@@ -174,7 +179,8 @@ MAKERS = {
     "vector_env nominal": lambda: Environment(vector_env("corridor", 2, autoreset_mode="SameStep", max_cycles=5)),
     "ImpactVecEnv": lambda: Learners(ImpactVecEnv(load("throw_and_catch"), 2)),
     **{
-        f"residual {name}": lambda name=name: Environment(gymnasium.make(gym_id(name, residual=True)))
+        # A step lasts until the next correction, seconds later.
+        f"residual {name}": lambda name=name: Environment(gymnasium.make(gym_id(name, residual=True)), count=3)
         for name in ("throw_and_catch", "floating_manipulator_thrusters", "dual_arm_grasp")
     },
     **{

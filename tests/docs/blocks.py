@@ -22,9 +22,9 @@ COMMANDS = ("impact ", "python ", "make ", "pip ")
 # Subcommands that wait for a person; how they are read is checked, and tests of their own run them.
 ATTENDED = ("play",)
 # Options whose value says how long a run takes, and the value that shows the same in seconds.
-SHORTER = {"--episodes": "1", "--steps": "64", "--worlds": "64"}
+SHORTER = {"--episodes": "1", "--steps": "64", "--worlds": "64", "--generations": "1"}
 # By command: the one of them whose default takes minutes.
-MISSING = {"evaluate": "--episodes", "demo": "--episodes", "train": "--steps"}
+MISSING = {"evaluate": "--episodes", "demo": "--episodes", "train": "--steps", "tune": "--generations"}
 SMALLER = {"4096": "64", "num_envs=256": "num_envs=16"}
 
 

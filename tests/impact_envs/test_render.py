@@ -17,6 +17,7 @@ from impact_envs.picture.view import find_view
 from impact_envs.picture.window import Window
 from impact_envs.stl import parse
 from planners import make_expert
+from tests.frozen.freeze import get_plan
 
 LOWER, UPPER = (-1.0, 0.0), (3.0, 10.0)  # the corridor's 4 x 10 m
 ROBOT = Shape("snap", "robot", radius=0.3)
@@ -379,7 +380,7 @@ def test_unit_of_robustness_is_that_of_the_predicates(formula, unit):
 
 def test_a_change_of_velocity_is_that_of_the_impulse():
     env = impact_envs.parallel_env("throw_and_catch", render_mode="rgb_array")
-    policy = make_expert(env.scenario)
+    policy = make_expert(env.scenario, get_plan("throw_and_catch", "nominal"))
     impact_envs.rollout(env, policy, seed=1_000_000)
     (mark, *_) = env.make_frame().impacts
     (impact, _), *_ = env.past.marks

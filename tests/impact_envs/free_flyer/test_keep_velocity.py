@@ -79,8 +79,9 @@ def test_world_of_many_is_the_single_one() -> None:
 
 def test_expert_throws_and_catches_it_on_an_uneven_floor() -> None:
     scenario = load(0.5)
+    expert = make_expert(scenario)
     for seed in (1_000_000, 1_000_001):
-        episode = rollout(parallel_env(scenario), make_expert(scenario), seed)
+        episode = rollout(parallel_env(scenario), expert, seed)
         assert episode.success
         assert episode.robustness > 0.2
 

@@ -15,7 +15,16 @@ from typing import Any
 import pytest
 
 from impact_envs import InputError
-from tests.train.processes import ROOT, count_rows, find_children, is_alive, list_children, start, wait_until
+from tests.train.processes import (
+    ROOT,
+    count_rows,
+    find_children,
+    is_alive,
+    list_children,
+    start,
+    start_dying,
+    wait_until,
+)
 from train.errors import WorkerLost
 from train.evaluation.evaluate import evaluate
 from train.evaluation.folder_lock import lock_folder
@@ -73,19 +82,6 @@ def test_no_kill_loses_doubles_or_changes_a_row(script: Path, tmp_path: Path) ->
         run.kill()
     assert run.returncode == 0, said
     assert read_rows(out) == read_rows(tmp_path / "whole")
-
-
-def die_at(fatal: int, folder: Path, job: int) -> int:
-    """Die of a job; of an odd one only at the first time."""
-    if job == fatal and not (folder / "died").exists():
-        if fatal % 2:
-            (folder / "died").touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return job * job
-
-
-def start_dying(fatal: int, folder: Path) -> Any:
-    return partial(die_at, fatal, folder)
 
 
 def test_a_job_is_done_again_when_its_worker_dies(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Policies of the user: which code is run, that no other is, and that it is judged as every policy is."""
 
+import pickle
 import re
 import sys
 from pathlib import Path
@@ -12,7 +13,7 @@ from impact_envs import InputError, JointPolicy, SharedPolicy, gym_id, load_scen
 from impact_envs.rollout import ZeroPolicy
 from train.cli.main import main
 from train.evaluation.evaluate import evaluate
-from train.evaluation.own_policy import announce, find_code, is_own, read_policies
+from train.evaluation.own_policy import OwnCodeFailed, announce, find_code, is_own, read_policies
 
 PAGE = Path(__file__).parents[3] / "docs" / "own_policy.md"
 IDLE = """
@@ -142,17 +143,16 @@ SOUND = {
 
 
 @pytest.mark.parametrize(
-    ("method", "broken", "line", "workers"),
+    ("method", "broken", "line"),
     [
-        ("reset", {"reset": "self.missing"}, 10, "1"),
-        ("act", {"push": "seen[:3] @ np.ones(4)"}, 16, "1"),
-        ("act", {"push": "seen[:3] @ np.ones(4)"}, 16, "2"),
-        ("diagnostics", {"diagnostics": "raise RuntimeError('of mine')"}, 19, "1"),
+        ("reset", {"reset": "self.missing"}, 10),
+        ("act", {"push": "seen[:3] @ np.ones(4)"}, 16),
+        ("diagnostics", {"diagnostics": "raise RuntimeError('of mine')"}, 19),
     ],
 )
-def test_code_that_fails_while_it_plays_is_named_and_leaves_nothing(folder, capsys, method, broken, line, workers):
+def test_code_that_fails_while_it_plays_is_named_and_leaves_nothing(folder, capsys, method, broken, line):
     (folder / "fragile.py").write_text(FRAGILE.format(**SOUND | broken))
-    words = ("--policies", "fragile.py:Fragile", "--episodes", "2", "--out", "o", "--workers", workers)
+    words = ("--policies", "fragile.py:Fragile", "--episodes", "2", "--out", "o")
     assert main(("evaluate", "throw_and_catch", *words)) == 2
     said = capsys.readouterr().err
     last = said.strip().splitlines()[-1]
@@ -162,6 +162,13 @@ def test_code_that_fails_while_it_plays_is_named_and_leaves_nothing(folder, caps
     assert f'fragile.py", line {line}' in trace
     assert "own_policy.py" not in trace  # of the user's code alone
     assert not (folder / "o").exists()
+
+
+def test_a_worker_sends_the_trace_too():
+    failed = OwnCodeFailed("policy 'mine': act raised KeyError")
+    failed.trace = "Traceback"
+    sent = pickle.loads(pickle.dumps(failed))
+    assert (str(sent), sent.trace) == (str(failed), failed.trace)
 
 
 def test_what_are_no_diagnostics_is_named(folder, capsys):

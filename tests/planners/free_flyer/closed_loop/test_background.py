@@ -26,7 +26,6 @@ import pytest
 
 from impact_envs import InputError, parallel_env, rollout, vector_env
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners import make_plan
 from planners.budget import Work
 from planners.errors import Infeasible, OutOfWork
 from planners.free_flyer.belief.options import EXPERT, make_record
@@ -40,6 +39,7 @@ from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
 from planners.free_flyer.nominal.remaining import plan_rest
 from planners.plan import Plan
+from tests.frozen.freeze import get_plan
 from tests.planners.free_flyer.plans import load, set_fields
 
 OPTIONS = make_record(EXPERT)[0]
@@ -53,7 +53,9 @@ Spoil = Callable[[int, dict[str, np.ndarray]], None]
 
 @cache
 def plan_of(name: str) -> Plan:
-    return make_plan(load(name))
+    plan = get_plan(name, "nominal")
+    assert plan is not None
+    return plan
 
 
 @cache

@@ -10,12 +10,12 @@ import pytest
 
 from impact_envs.errors import InputError
 from impact_envs.scenario import load_scenario
-from planners import make_plan
 from planners.bezier import Curve
 from planners.free_flyer.published.conversion import convert_published_plan, make_published_plan
 from planners.free_flyer.published.names import match_names, rename_bodies
 from planners.free_flyer.published.plan_file import read_published_plan, write_published_plan
 from planners.free_flyer.published.violation import list_violations
+from tests.frozen.freeze import get_plan
 from train.cli.main import main
 
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "data" / "impact_stl_plans"
@@ -31,7 +31,7 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def plan(scenario):
-    return make_plan(scenario)
+    return get_plan(scenario.name, "nominal")
 
 
 def _write(plan, folder, names):

@@ -11,7 +11,6 @@ import pytest
 
 from impact_envs import load_scenario, parallel_env
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners import make_plan
 from planners.free_flyer.expert import FreeFlyerExpert
 from planners.free_flyer.tracking.condensing import FORCES, condense, find_unknown, jump
 from planners.free_flyer.tracking.mpc import Workspace, make_workspace, solve_freely, solve_tracking
@@ -22,6 +21,7 @@ from planners.free_flyer.tracking.problem import (
     TrackingProblem,
     build_tracking_problem,
 )
+from tests.frozen.freeze import get_plan
 
 PERIOD = 0.1
 
@@ -214,7 +214,7 @@ def catch() -> list[tuple[float, np.ndarray, Workspace]]:
     """Return (seconds to the catch, coming impact, workspace) of the catching robot at every step of an episode."""
     scenario = load_scenario("throw_and_catch")
     assert isinstance(scenario, FreeFlyerScenario)
-    expert, env, seen = FreeFlyerExpert(scenario, make_plan(scenario)), parallel_env(scenario), []
+    expert, env, seen = FreeFlyerExpert(scenario, get_plan(scenario.name, "nominal")), parallel_env(scenario), []
     observations, _ = env.reset(seed=0)
     expert.reset(0)
     while not env.impacts or env.time < 15.0:
