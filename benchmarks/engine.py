@@ -20,8 +20,8 @@ from statistics import median
 from typing import Any
 
 import tyro
-from engine_growth import measure_growth, measure_memory
-from engine_methods import (
+from engine_parts.growth import measure_growth, measure_memory
+from engine_parts.methods import (
     BARE_PYMUNK,
     COMPILED,
     PETTINGZOO,
@@ -33,9 +33,9 @@ from engine_methods import (
     check_settings,
     make_methods,
 )
-from engine_ours import Episode, Setting, count_impacts
-from engine_peers import INSTALL
-from engine_plot import draw_rates
+from engine_parts.ours import Episode, Setting, count_impacts
+from engine_parts.peers import INSTALL
+from engine_parts.plot import draw_rates
 from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn

@@ -22,6 +22,7 @@ from statistics import median
 from typing import Any, Literal
 
 import numpy as np
+import task_flights
 import tyro
 
 from impact_envs.errors import InputError, check_count
@@ -56,6 +57,10 @@ class Args:
     """Time for a second, finer encoding of each task that is proven infeasible; 0: none is planned again [s]."""
     scenarios: Path | None = None
     """Write the tasks into this folder, as JSON that `build_scenario` takes."""
+    plans: Path | None = None
+    """Write the plans into this folder, as JSON; `python benchmarks/task_flights.py` flies them."""
+    fly: int = 0
+    """Fly every plan in that folder in so many worlds of every suite of task_flights.py; needs --plans."""
     out: Path | None = None
     """Write the table here, as JSON."""
 
@@ -215,12 +220,13 @@ def draw_tasks(count: int, seed: int) -> Iterator[tuple[int, str, dict[str, Any]
         seed += 1
 
 
-def plan_task(seed: int, kind: str, data: dict[str, Any], time_limit: float) -> Row:
+def plan_task(seed: int, kind: str, data: dict[str, Any], time_limit: float, plans: Path | None = None) -> Row:
     """Plan a task.
 
     Args:
         seed, kind, data: as from `draw_tasks`.
         time_limit: [s].
+        plans: folder that the plan is written into, if any.
     """
     scenario = build_scenario(data, source=data["name"])
     assert isinstance(scenario, FreeFlyerScenario)
@@ -232,6 +238,8 @@ def plan_task(seed: int, kind: str, data: dict[str, Any], time_limit: float) -> 
     except PlanningError as error:
         outcome = PROVEN if isinstance(error, Infeasible) else UNDECIDED
         return Row(seed, kind, *counts, outcome, read() - start, message=str(error))
+    if plans:
+        plan.save(plans / f"{scenario.name}.json")
     return Row(seed, kind, *counts, PLANNED, read() - start, plan.robustness, plan.bound)
 
 
@@ -281,15 +289,18 @@ def main(args: Args) -> None:
         raise InputError(f"confirm = {args.confirm}: a number of at least 0 is needed [s]")
     if not args.time_limit > 0.0:
         raise InputError(f"time_limit = {args.time_limit}: a number above 0 is needed [s]")
+    if args.fly and not args.plans:
+        raise InputError(f"--fly {args.fly} needs --plans, a folder for the plans")
+    for folder in filter(None, (args.scenarios, args.plans)):
+        folder.mkdir(parents=True, exist_ok=True)
     rows: list[Row] = []
     clock = Clock(time.process_time if args.clock == "cpu" else time.perf_counter)
     try:
         for seed, kind, data in draw_tasks(args.count, args.seed):
             if args.scenarios:
-                args.scenarios.mkdir(parents=True, exist_ok=True)
                 (args.scenarios / f"{data['name']}.json").write_text(json.dumps(data, indent=1))
             with use_clock(clock):
-                row = plan_task(seed, kind, data, args.time_limit)
+                row = plan_task(seed, kind, data, args.time_limit, args.plans)
                 if row.outcome == PROVEN and args.confirm:
                     row = replace(row, confirmed=confirm_proof(data, args.confirm))
             rows.append(row)
@@ -300,6 +311,8 @@ def main(args: Args) -> None:
     print_table(rows)
     if args.out:
         args.out.write_text(json.dumps([asdict(row) for row in rows], indent=1))
+    if args.fly:
+        task_flights.main(task_flights.Args(args.plans, args.fly))
 
 
 if __name__ == "__main__":

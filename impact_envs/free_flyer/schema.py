@@ -7,6 +7,7 @@ the engine reads.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, NamedTuple, Self
@@ -263,6 +264,9 @@ class FreeFlyerScenario(Scenario):
     suite_file: ClassVar[Path | None] = Path(__file__).parent / "suites.toml"
 
     domain: Literal["free_flyer"]
+    # Price of a metre of loosening, of each conjunct of the formula in their order, with `impact plan --relax`; 1 each
+    # if unset.
+    weights: Annotated[tuple[Positive, ...], Field(exclude_if=operator.not_)] = ()
     engine: Engine | None = None  # what computes the motion; unset: exact for discs, pymunk for polygons
     world: World
     robots: dict[str, Robot]
@@ -406,6 +410,14 @@ class FreeFlyerScenario(Scenario):
     def has_polygons(self) -> bool:
         """Return whether any object is no disc."""
         return any(body.vertices is not None for body in self.objects.values())
+
+    @model_validator(mode="after")
+    def _weights_fit(self) -> Self:
+        conjuncts = self.specification.conjuncts()
+        if self.weights and len(self.weights) != len(conjuncts):
+            listed = "; ".join(map(str, conjuncts))
+            raise ValueError(f"weights: {len(self.weights)} for {len(conjuncts)} conjuncts of the formula: {listed}")
+        return self
 
     @model_validator(mode="after")
     def _engine_fits(self) -> Self:

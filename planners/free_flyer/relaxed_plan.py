@@ -87,7 +87,7 @@ def make_relaxed_plan(
 
     Args:
         scenario: as it is believed.
-        weights: price of a metre of loosening, of each conjunct in their order; none: 1 each.
+        weights: price of a metre of loosening, of each conjunct in their order; none: the scenario's, or 1 each.
         max_impacts, time_limit, solver, options: as for `make_free_flyer_plan`.
         relaxation: how the relaxed task is planned.
 
@@ -100,7 +100,8 @@ def make_relaxed_plan(
         SolverFailed: none was found in time.
     """
     conjuncts = list_conjuncts(scenario)
-    prices = check_weights(weights, conjuncts)
+    prices = check_weights(weights or scenario.weights, conjuncts)
+    scenario = scenario.model_copy(update={"weights": ()})  # parts of the formula have no prices of their own
     budget = Budget(time_limit)
     given = {"max_impacts": max_impacts, "solver": solver}
     brief = replace(options, diagnosis=0.0)

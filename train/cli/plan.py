@@ -47,7 +47,8 @@ class Command:
     relax: bool = False
     """Where there is no plan, plan the task with the least loosening of its formula, and say what is given up."""
     weights: tuple[float, ...] = ()
-    """With --relax: price of a metre of loosening, of each conjunct of the formula in their order; 1 each without."""
+    """With --relax: price of a metre of loosening, of each conjunct of the formula in their order; without: the
+    scenario's weights, or 1 each."""
     out: Path | None = None
     """Write the plan here as JSON."""
     csv: Path | None = None

@@ -192,7 +192,7 @@ def hasten_next_knot(plan: PlanTable, memory: WorldMemory, options: Options, k: 
     strike, (drift_x, drift_y) = memory.strike[k, o], find_drift(memory.filter[k, plan.robots + o])
     knot, due, last = find_next_knot(plan, memory, k, o, strike.is_inserted)
     drift = math.hypot(drift_x, drift_y)
-    bend = min(options.aim.bend, 0.5 * plan.knot[knot].depth)
+    bend = min(options.aim.bend, max(0.5 * plan.knot[knot].depth, 0.0))
     if last or drift * (due - strike.time) ** 2 <= 8.0 * bend:
         return
     x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, strike.time)

@@ -77,6 +77,7 @@ def make_free_flyer_plan(
     _check_arguments(scenario, max_impacts, time_limit)
     check_solver(solver)
     read_demands(scenario, reserves.wall)  # formulas are refused in the user's words
+    scenario = scenario.model_copy(update={"weights": ()})  # nothing is given up, and sub-tasks have other conjuncts
     frame = find_frame(scenario)
     # Wall time depends on the machine; the work done until it is over is told along with it.
     work = work or Work()

@@ -122,6 +122,7 @@ def make_remaining_scenario(
     values: dict[str, object] = {
         "horizon": round(scenario.horizon - now, 9),
         "formula": " & ".join(f"({part})" for part in parts) or _write_true(scenario),
+        "weights": (),
     }
     for name in scenario.bodies:
         key = f"{'robots' if name in scenario.robots else 'objects'}.{name}"

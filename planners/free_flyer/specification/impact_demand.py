@@ -45,9 +45,10 @@ def find_knots(scenario: FreeFlyerScenario, plan: Plan, name: str) -> list[Knot]
     """Return the knots of an object, with what the formula demands of its position there.
 
     "Always" binds every knot in its window; an area to avoid binds it by the face beyond which the plan stays on the
-    legs before and after. "Eventually" binds the knot in its window that serves it best, the last of several equal
-    ones; if the plan serves it between knots only, it binds none. Of a disjunction, the part that the plan serves best
-    counts. A knot at which the object rests is also bound by the demands of the next one. Demands on several bodies at
+    legs before and after or, where a leg passes a corner, by its own. "Eventually" binds the knot in its window that
+    serves it best, the last of several equal ones; if the plan serves it between knots only, it binds none. Of a
+    disjunction, the part that the knots serve best counts; if they serve none, as where another body does, it binds
+    none. A knot at which the object rests is also bound by the demands of the next one. Demands on several bodies at
     once, and formulas that the planner does not take, bind nothing.
 
     Args:
@@ -118,12 +119,10 @@ def _bind(formula: Formula, start: float, end: float, knots: list[Knot], owned: 
             for part in operands:
                 _bind(part, start, end, knots, owned)
         case Or(operands):
-            served = [
-                (_measure_margin(part, owned, _list_knots_between(start, end, knots)), i)
-                for i, part in enumerate(operands)
-            ]
-            best = max(served)[1]
-            _bind(operands[best], start, end, knots, owned)
+            served = [(_measure_throughout(part, start, end, owned, knots), i) for i, part in enumerate(operands)]
+            margin, best = max(served)
+            if margin > 0.0:  # otherwise it is another body, or a flight between knots, that serves it
+                _bind(operands[best], start, end, knots, owned)
         case Always((lower, upper), child):
             _bind(child, start + lower, end + upper, knots, owned)
         case Eventually((lower, upper), child) if end + lower <= start + upper + ROUND_OFF:
@@ -149,12 +148,14 @@ def _bind_best(
         for arrival, leaving in stays
         if (arrival is None or arrival.time <= closes + ROUND_OFF) and leaving.time >= opens - ROUND_OFF
     ]
-    margins = [_measure_margin(formula, owned, [arrival or leaving]) for arrival, leaving in found]
+    margins = [_measure_at(formula, arrival or leaving, owned, knots) for arrival, leaving in found]
     if not found or max(margins) <= 0:
         return
     arrival, leaving = found[max(i for i, margin in enumerate(margins) if margin >= max(margins) - ROUND_OFF)]
-    for knot in {id(knot): knot for knot in (arrival, leaving) if knot is not None}.values():
-        _bind(formula, knot.time, knot.time, knots, owned)
+    first = arrival or leaving
+    _bind(formula, first.time, first.time, knots, owned)
+    if leaving is not first:  # nothing is asked of where it goes then
+        _bind(formula, leaving.time, leaving.time, [leaving], owned)
     inner = closes < knots[-1].time - ROUND_OFF
     if opens > ROUND_OFF or inner:
         # It does no harm if the object stays longer than it has to, but waiting for it would.
@@ -171,10 +172,13 @@ def _bind_throughout(need: Requirement, start: float, end: float, knots: list[Kn
             knot.faces += list(table)
         return
     for pair in itertools.pairwise(inside) if len(inside) > 1 else [tuple(inside)] if inside else []:
-        kept = np.min([need.faces @ knot.position - need.bounds for knot in pair], axis=0)
-        face = -table[int(np.argmax(kept))]
-        face[2] -= need.clearance * np.hypot(*face[:2])
-        for knot in pair:
+        margins = np.array([need.faces @ knot.position - need.bounds for knot in pair]) - need.clearance
+        best = int(np.argmax(margins.min(axis=0)))
+        for knot, own in zip(pair, margins, strict=True):
+            # A flight past a corner stays beyond no single face: each of its ends is beyond its own.
+            i = best if margins[:, best].min() >= -ROUND_OFF else int(np.argmax(own))
+            face = -table[i]
+            face[2] -= need.clearance * np.hypot(*face[:2])
             knot.faces.append(face)
 
 
@@ -182,17 +186,30 @@ def _list_knots_between(start: float, end: float, knots: list[Knot]) -> list[Kno
     return [knot for knot in knots if start - ROUND_OFF <= knot.time <= end + ROUND_OFF]
 
 
-def _measure_margin(formula: Formula, owned: dict[Predicate, Requirement], knots: list[Knot]) -> float:
-    """Return the least margin with which planned positions serve a formula; -inf if that cannot be said."""
+def _measure_throughout(
+    formula: Formula, start: float, end: float, owned: dict[Predicate, Requirement], knots: list[Knot]
+) -> float:
+    """Return the least margin with which planned positions serve a formula that has to hold in all of [start, end].
+
+    -inf if that cannot be said: no knot is in the window, or the formula speaks of other bodies.
+    """
     match formula:
         case And(operands):
-            return min(_measure_margin(part, owned, knots) for part in operands)
+            return min(_measure_throughout(part, start, end, owned, knots) for part in operands)
         case Or(operands):
-            return max(_measure_margin(part, owned, knots) for part in operands)
+            return max(_measure_throughout(part, start, end, owned, knots) for part in operands)
+        case Always((lower, upper), child):
+            return _measure_throughout(child, start + lower, end + upper, owned, knots)
+        case Eventually((lower, upper), child):
+            window = _list_knots_between(end + lower, start + upper, knots)
+            return max((_measure_at(child, knot, owned, knots) for knot in window), default=-np.inf)
         case Predicate() if formula in owned:
             need, sign = owned[formula], -1.0 if owned[formula].kind == "avoid" else 1.0
-            margins = [need.bounds - need.faces @ knot.position for knot in knots]
-            if not margins:
-                return -np.inf
-            return float(np.min([m.min() if sign > 0 else (-m).max() for m in margins]))
+            margins = [need.bounds - need.faces @ knot.position for knot in _list_knots_between(start, end, knots)]
+            return min((float(m.min() if sign > 0 else (-m).max()) for m in margins), default=-np.inf)
     return -np.inf
+
+
+def _measure_at(formula: Formula, knot: Knot, owned: dict[Predicate, Requirement], knots: list[Knot]) -> float:
+    """Return the margin with which planned positions serve a formula from a knot on; -inf as above."""
+    return _measure_throughout(formula, knot.time, knot.time, owned, knots)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from impact_envs.errors import InputError
+from impact_envs.errors import InputError, ScenarioError
 from impact_envs.scenario import load_scenario
 from impact_envs.stl import parse
 from planners.free_flyer.nominal.diagnosis import Relaxation, find_relaxation
+from planners.free_flyer.nominal.planner import make_free_flyer_plan
+from planners.free_flyer.nominal.remaining import make_remaining_scenario
 from planners.free_flyer.nominal.task import NominalTask
 from planners.free_flyer.relaxed_plan import make_relaxed_plan
 from planners.free_flyer.reserves import Reserves
@@ -37,10 +41,13 @@ def test_nothing_is_given_up_where_there_is_a_plan():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("weights", "given_up"), [((10.0, 1.0), 1), ((1.0, 10.0), 0)])
-def test_the_cheaper_conjunct_is_given_up(weights, given_up):
+@pytest.mark.parametrize(
+    ("in_file", "weights", "given_up"),
+    [((), (10.0, 1.0), 1), ((), (1.0, 10.0), 0), ((10.0, 1.0), (), 1), ((10.0, 1.0), (1.0, 10.0), 0)],
+)
+def test_the_cheaper_conjunct_is_given_up(in_file, weights, given_up):
     conjuncts = ["G[30,30] pop in goal", "G[0,30] pop not in goal"]
-    found = make_relaxed_plan(make_world(formula=" & ".join(conjuncts)), weights)
+    found = make_relaxed_plan(make_world(formula=" & ".join(conjuncts), weights=in_file), weights)
     assert [one.conjunct for one in found.given_up] == [conjuncts[given_up]]
     assert found.given_up[0].missed < 0.05
 
@@ -50,6 +57,31 @@ def test_weights_fit_the_conjuncts():
         make_relaxed_plan(make_world(), (1.0, 2.0))
     with pytest.raises(InputError, match="weight 0: a positive number"):
         make_relaxed_plan(make_world(), (0.0,))
+
+
+def test_weights_of_a_scenario_price_its_own_conjuncts():
+    with pytest.raises(ScenarioError, match=r"weights: 2 for 1 conjuncts of the formula: G\[30,30\] pop in goal$"):
+        make_world(weights=(1.0, 2.0))
+    with pytest.raises(ScenarioError, match=r"weights\.0 = 0: input should be greater than 0$"):
+        make_world(weights=(0,))
+    priced = make_world(weights=(2.0,))
+    assert priced.suite("short").weights == (2.0,)
+    # What is recorded of a scenario without weights is what it was before there were any.
+    assert "weights" in priced.model_dump_json()
+    assert "weights" not in make_world().model_dump_json()
+
+
+def test_weights_change_no_plan_of_a_task_that_has_one():
+    plain, priced = make_free_flyer_plan(make_world()), make_free_flyer_plan(make_world(weights=(2.0,)))
+    assert replace(priced, solve_seconds=0.0, stage_seconds={}) == replace(plain, solve_seconds=0.0, stage_seconds={})
+
+
+def test_what_is_left_of_a_task_with_weights_has_none():
+    world = make_world(formula="G[0,0.5] snap.x <= 9 & F[0,30] pop in goal", weights=(1.0, 2.0))
+    places = {name: np.array(world.body(name).start) for name in world.bodies}
+    past = np.linspace(0.0, 1.0, 11), {name: np.tile(place, (11, 1)) for name, place in places.items()}
+    left = make_remaining_scenario(world, 1.0, places, dict.fromkeys(world.bodies, np.zeros(2)), past)
+    assert (len(left.specification.conjuncts()), left.weights) == (1, ())
 
 
 def test_areas_grow_and_shrink_and_bounds_move():

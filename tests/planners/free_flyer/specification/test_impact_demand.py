@@ -257,3 +257,39 @@ def test_one_visit_serves_every_window_that_it_is_in() -> None:
     assert [faces(knot) for knot in (throw, *rest)] == [set(), set(), set()]
     # No visit is in all windows of G[0,80] F[0,60].
     assert not any(faces(knot) for knot in knots_of(load("pong", "G[0,40] F[0,20] pop in C"), places))
+
+
+def test_a_disjunction_that_another_body_serves_binds_nothing() -> None:
+    scenario = load("pong", "G[0,100] (pop in D -> snap not in B) & G[100,100] pop in D")
+    throw, *_, end = knots_of(scenario, PONG)
+    assert faces(throw) == set()
+    assert faces(end) == D  # not to be outside of it
+
+
+@pytest.mark.parametrize("area", ["B", "C"])
+def test_of_two_visits_the_one_that_the_plan_makes_binds(area: str) -> None:
+    places = {"B": (30, 2.5, -0.75), "C": (30, 1.25, 0.25)}
+    scenario = load("pong", "F[0,100] pop in B or F[0,100] pop in C")
+    _, visit, end = knots_of(scenario, [(8, 1.25, -0.75), places[area], (100, 2.5, 0.75)])
+    assert faces(visit) == {"B": B, "C": C}[area]
+    assert faces(end) == set()
+
+
+def test_a_stay_binds_its_arrival_and_what_ends_it_alone() -> None:
+    scenario = load("pong", "F[0,60] G[0,20] pop in B")
+    places = [(8, 1.25, -0.75), (30, 2.5, -0.75), (55, 2.5, -0.75), (85, 2.5, 0.75), (100, 2.5, 0.75)]
+    assert [faces(knot) for knot in knots_of(scenario, places)] == [set(), B, B, set(), set()]
+
+
+def test_visits_in_order_bind_one_after_the_other() -> None:
+    scenario = load("pong", "F[0,50] (pop in B & F[0,50] pop in C)")
+    places = [(8, 1.25, -0.75), (30, 2.5, -0.75), (60, 1.25, 0.25), (85, 2.5, 0.75), (100, 2.5, 0.75)]
+    assert [faces(knot) for knot in knots_of(scenario, places)] == [set(), B, C, set(), set()]
+
+
+def test_a_flight_past_a_corner_binds_each_end_by_its_own_face() -> None:
+    """No face of the block has both ends beyond it: no knot lies outside of what is demanded of it."""
+    scenario = load("obstacle_avoidance", "G[150,150] pop in goal")
+    first, second, *_ = knots_of(scenario, [(24, 3.6, 4.9), (52, 2.3, 3.6), (97, 2.3, 1.35), (123, 5, 1), (150, 5, 1)])
+    assert faces(first) == {(0, -1, -4.2)}
+    assert faces(second) == {(1, 0, 2.8)}

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from engine_ours import Episode, Setting, make_compiled, make_gpu, make_pettingzoo, make_vector
-from engine_peers import SUBSTEPS, make_pymunk, make_simple_spread, make_vmas
+from engine_parts.ours import Episode, Setting, make_compiled, make_gpu, make_pettingzoo, make_vector
+from engine_parts.peers import SUBSTEPS, make_pymunk, make_simple_spread, make_vmas
 
 from impact_envs.errors import InputError
 

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from engine_ours import SEED, Episode, Setting, cut, load_discs, loop_over, make_rows
+from engine_parts.ours import SEED, Episode, Setting, cut, load_discs, loop_over, make_rows
 
 INSTALL = "pip install vmas mpe2"
 SUBSTEPS = 10  # of bare pymunk in a control period

@@ -1,0 +1,63 @@
+"""Random tasks are planned and flown, and a failure has a cause; bad arguments are one line."""
+
+from __future__ import annotations
+
+import json
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from impact_envs.errors import InputError
+from impact_envs.physics.impact import Impact
+
+QUICK = 1_000_002  # a seed whose task is planned in half a second
+
+
+@pytest.fixture(scope="module")
+def tasks(load_benchmark):
+    return load_benchmark("tasks")
+
+
+def hit(time, a, b):
+    return Impact(time, a, b, (0.0, 0.0), (1.0, 0.0), (0.0, 0.0), 0.1)
+
+
+def test_a_task_is_planned_flown_and_won(tasks, tmp_path, capsys):
+    plans = tmp_path / "plans"
+    tasks.main(tasks.Args(count=1, seed=QUICK, plans=plans, fly=2, out=tmp_path / "rows.json"))
+    row = json.loads((tmp_path / "rows.json").read_text())[0]
+    flights_module = sys.modules["task_flights"]
+    flights = flights_module.main(flights_module.Args(plans, 2, suites=("nominal",)))
+    assert [flight.success for flight in flights] == [True, True]
+    # The believed world has no noise: the flight is as robust as its plan promises.
+    assert [flight.robustness for flight in flights] == pytest.approx(2 * [row["robustness"]], abs=1e-3)
+    assert "nominal  all          1       2   100.0%" in capsys.readouterr().out
+
+
+def test_flying_needs_plans(tasks, tmp_path):
+    with pytest.raises(InputError, match="--fly 2 needs --plans"):
+        tasks.main(tasks.Args(count=1, fly=2))
+    flights = sys.modules["task_flights"]
+    with pytest.raises(InputError, match=r"no plans task_SEED\.json"):
+        flights.main(flights.Args(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("impacts", "unplanned", "cause"),
+    [
+        ([hit(1.0, "r", "o"), hit(2.0, "world", "o")], float("inf"), "object meets wall"),
+        ([hit(1.0, "r", "s"), hit(2.0, "world", "o")], 1.0, "a robot touches its object when it should not"),
+        ([hit(1.0, "s", "o")], 1.1, "a robot touches another object when it should not"),
+        ([hit(1.0, "r", "o"), hit(2.0, "r", "s")], float("inf"), "robots meet"),
+        ([hit(1.0, "r", "o")], float("inf"), "fewer impacts than planned"),
+    ],
+)
+def test_the_first_thing_amiss_is_the_cause(tasks, impacts, unplanned, cause):
+    world = SimpleNamespace(robots={"r": 0, "s": 0}, objects={"o": 0}, control_period=0.1)
+    if impacts[0].b == "s":
+        world = SimpleNamespace(robots={"r": 0}, objects={"s": 0, "o": 0}, control_period=0.1)
+    planned = [SimpleNamespace(robot="r", object="o"), SimpleNamespace(robot="r", object=impacts[0].b)]
+    episode = SimpleNamespace(failure="", impacts=tuple(impacts))
+    found = sys.modules["task_flights"].find_cause(world, SimpleNamespace(impacts=planned), episode, unplanned)
+    assert found == cause
