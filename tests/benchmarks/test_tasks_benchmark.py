@@ -1,4 +1,4 @@
-"""Random tasks are planned and flown, and a failure has a cause; bad arguments are one line."""
+"""Random tasks are planned, flown and confirmed, and a failure has a cause; bad arguments are one line."""
 
 from __future__ import annotations
 
@@ -10,8 +10,14 @@ import pytest
 
 from impact_envs.errors import InputError
 from impact_envs.physics.impact import Impact
+from impact_envs.scenario import build_scenario
+from planners.budget import Work
+from planners.errors import Infeasible
+from planners.free_flyer.nominal.planner import make_free_flyer_plan
+from planners.free_flyer.nominal.task import PlanOptions
 
 QUICK = 1_000_002  # a seed whose task is planned in half a second
+BLOCKED = 1_000_014  # an obstacle takes the zone that a robot is to visit
 
 
 @pytest.fixture(scope="module")
@@ -61,3 +67,16 @@ def test_the_first_thing_amiss_is_the_cause(tasks, impacts, unplanned, cause):
     episode = SimpleNamespace(failure="", impacts=tuple(impacts))
     found = sys.modules["task_flights"].find_cause(world, SimpleNamespace(impacts=planned), episode, unplanned)
     assert found == cause
+
+
+def test_a_goal_within_an_obstacle_is_proven_without_a_search(tasks):
+    scenario, work = build_scenario(tasks.draw_task(BLOCKED)[1], source="test"), Work()
+    with pytest.raises(Infeasible, match="proven infeasible with up to 6 impacts, 6 straight pieces"):
+        make_free_flyer_plan(scenario, options=PlanOptions(diagnosis=0.0), work=work)
+    assert work.done < 1000.0
+
+
+@pytest.mark.slow
+def test_a_finer_encoding_confirms_that_and_finds_plans_where_there_are_some(tasks):
+    assert tasks.confirm_proof(tasks.draw_task(BLOCKED)[1], 20.0) == tasks.AGREES
+    assert tasks.confirm_proof(tasks.draw_task(QUICK)[1], 60.0) == tasks.DISAGREES

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import replace
 
 import pytest
@@ -9,9 +11,11 @@ import pytest
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.budget import Work
 from planners.errors import Infeasible
+from planners.free_flyer.nominal.attempt import Attempt
 from planners.free_flyer.nominal.remaining import OPTIONS, RESERVES
-from planners.free_flyer.nominal.screening import screen_task
-from planners.free_flyer.nominal.task import NominalTask
+from planners.free_flyer.nominal.screening import is_excluded, screen_task
+from planners.free_flyer.nominal.task import NominalTask, PlanOptions
+from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.requirement import read_demands
 from tests.frozen.freeze import get_plan
 from tests.planners.free_flyer.plans import load
@@ -34,3 +38,26 @@ def test_an_object_that_flies_away_for_good_does_not(name: str) -> None:
     with pytest.raises(Infeasible, match="proven infeasible with up to 3 impacts"):
         screen_task(make_task(scenario, work), 3, replace(OPTIONS, expected=2))
     assert work.done < 1000.0
+
+
+def test_the_least_reserves_ask_no_more_than_those_of_any_attempt() -> None:
+    scenario, options = load("pong"), PlanOptions()
+    for force in (0.1, 0.4, 5.0):  # thrust limits the legs, at first only, never
+        task = replace(make_task(scenario.override({"robots.snap.force_limit": force})), reserves=Reserves())
+        robot = task.scenario.robots["snap"]
+        least = Attempt((1, 2)).cut_to_least(task, options).reserves
+        for halvings, brisk in itertools.product(range(options.halvings + 1), (False, True)):
+            tried = Attempt((1, 2), halvings, brisk=brisk).cut_reserves(task, options).reserves
+            assert least.cruise(robot) >= tried.cruise(robot)
+            assert least.turning(robot) <= tried.turning(robot) * (1.0 + 1e-12)
+            assert least.clearance <= tried.clearance
+            assert all(a <= b for a, b in zip(least.times(40.0), tried.times(40.0), strict=True))
+
+
+@pytest.mark.parametrize(("horizon", "excluded"), [(60.0, False), (9.0, True)])
+def test_a_task_is_excluded_if_its_time_is_too_short(horizon: float, excluded: bool) -> None:
+    formula = f"G[{horizon:g},{horizon:g}] pop in goal"
+    scenario = load("throw_and_catch", horizon=horizon, formula=formula)
+    least = Attempt((1, 2)).cut_to_least(make_task(scenario), PlanOptions())
+    assert is_excluded(least, 2, 3, 1e-3, math.inf) is excluded
+    assert not is_excluded(least, 2, 3, 1e-3, 0.0), "no time, no proof"

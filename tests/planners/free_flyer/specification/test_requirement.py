@@ -154,3 +154,26 @@ def test_fixed_starts_and_goals_bound_the_robustness() -> None:
 )
 def test_operators_pass_the_bound_on(formula: str, bound: float) -> None:
     assert _bound("pong", formula=formula) == pytest.approx(bound)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "solid", "formula", "bound"),
+    [
+        ([0.5, 1.9], [0.9, 3.0], True, "G[30,30] pop in goal", 0.05),  # pop, of 0.2 m, touches it at x = 0.3
+        ([0.5, 1.9], [0.9, 3.0], False, "G[30,30] pop in goal", 0.25),  # nobody has to avoid it
+        ([0.5, 1.9], [0.9, 3.0], False, "G[30,30] pop in goal & G[0,30] pop not in block", 0.125),
+        ([0.2, 1.95], [0.8, 2.55], True, "G[30,30] pop in goal", -0.25),  # it takes all of the goal
+        ([0.2, 1.95], [0.8, 2.55], True, "F[0,30] pop in goal | F[0,30] snap in goal", -0.25),
+        ([0.2, 1.95], [0.8, 2.55], True, "F[0,30] snap.y <= 1 | F[0,30] pop in goal", 1.75),  # to the world's edge
+        ([1.2, 1.95], [1.8, 2.55], True, "G[30,30] pop in goal", 0.25),  # it is out of the way
+    ],
+)
+def test_obstacles_that_reach_into_a_goal_bound_the_robustness(
+    lower: list[float], upper: list[float], solid: bool, formula: str, bound: float
+) -> None:
+    scenario = load_scenario("throw_and_catch")
+    assert isinstance(scenario, FreeFlyerScenario)
+    fields = {field: getattr(scenario, field) for field in FreeFlyerScenario.model_fields}
+    block = {"block": {"lower": lower, "upper": upper, "solid": solid}}
+    blocked = FreeFlyerScenario(**fields | {"obstacles": block, "formula": formula})
+    assert compute_geometric_bound(blocked, read_demands(blocked, 0.05)) == pytest.approx(bound, abs=1e-6)
