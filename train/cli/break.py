@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from tyro.conf import Positional
 
+from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from train.cli.progress import say_written
 from train.evaluation.case import Case, make_case
@@ -32,6 +33,9 @@ class Command:
     """Shipped name or TOML file."""
     suite: str = "hard"
     """Suite whose ranges are searched."""
+    vary: tuple[str, ...] = ()
+    """Further ranges, or others than the suite's: start=0.05 for robots and objects that start up to 0.05 m from where
+    the plan has them, along x and y; robot_start=, object_start=; NAME=LOW,HIGH for what the suite may draw."""
     episodes: int = 3000
     """Of the search."""
     method: Literal["random", "cross_entropy", "cma"] = "cross_entropy"
@@ -63,7 +67,7 @@ class Command:
         from train.falsification.suite_file import write_suites
 
         self._check()
-        case, options = make_case(self.scenario, self.suite), SearchOptions(self.method, self.episodes)
+        case, options = self._make_case(), SearchOptions(self.method, self.episodes)
         check_request([case], [self.policy], self.episodes, self.seed, self.workers)
         arena = Arena(case, self.policy, options.width)  # refuses what cannot be searched before anything is planned
         if self.map is not None:
@@ -81,6 +85,7 @@ class Command:
         result = {
             "scenario": case.scenario.name,
             "suite": self.suite,
+            **({"vary": list(self.vary)} if self.vary else {}),
             "policy": self.policy,
             "episodes": searched,
             "failures": int(np.sum(~played.success)),
@@ -109,6 +114,16 @@ class Command:
             say_written(self.map)
         if self.report is not None:
             say_written(write_record(self.report, case, self.policy, result, found, figure))
+
+    def _make_case(self) -> Case:
+        """Return the case that is searched."""
+        case = make_case(self.scenario, self.suite)
+        if not self.vary:
+            return case
+        pinned = find_part("train", case.scenario.domain, "PINNED")
+        if pinned is None:
+            raise InputError(f"--vary: worlds of domain '{case.scenario.domain}' cannot be chosen")
+        return make_case(self.scenario, self.suite, pinned.read_ranges(self.vary))
 
     def _check(self) -> None:
         from train.falsification.record import check_folder
