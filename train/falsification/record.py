@@ -7,21 +7,26 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from impact_envs.env import parallel_env
 from impact_envs.errors import InputError
 from impact_envs.file import make_file_name, write_atomically
+from impact_envs.picture.film import Film
 from impact_envs.rollout import rollout
 from train.evaluation.case import Case
 from train.evaluation.player import make_policy
 from train.falsification.counterexample import Counterexample
 from train.pictures.file import save_figure
-from train.pictures.film import Viewer, sample_curves
+from train.pictures.film import sample_curves
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FOLDER = "failures"  # in that of an evaluation
-FILM_SECONDS = 6.0  # that a film takes, but for its end: a page holds some of them
+# A page holds some films: what one takes but for its end [s], frames per second, how long the end stays [s], and pixels
+# along each axis that become one.
+FILM_SECONDS, FPS, HOLD, SHRINK = 6.0, 10.0, 1.5, 2
 
 
 def check_folder(folder: Path) -> None:
@@ -63,7 +68,7 @@ def write_record(
         save_figure(figure, drawn)
     films = []
     for row, one in zip(result["counterexamples"], found, strict=True):
-        film = path.parent / make_file_name(*key, row["suite"], suffix=".gif")
+        film = path.parent / make_file_name(*key, row["suite"], suffix=".mp4")
         write_film(case, policy, one, film, f"{case.scenario.name} · {Path(policy).name} · seed {one.seed}")
         films.append(film.name)
     rows = [row | {"film": name} for row, name in zip(result["counterexamples"], films, strict=True)]
@@ -87,7 +92,20 @@ def write_film(case: Case, policy: str, one: Counterexample, path: Path, caption
     player = make_policy(policy, scenario, case.plan, case.options or None)
     env = parallel_env(scenario, render_mode="rgb_array")
     env.curves |= sample_curves(player)
-    with Viewer(str(path), scenario, scenario.horizon / FILM_SECONDS, caption) as film:
-        env.caption, env.speed = caption, film.speed
-        rollout(env, player, one.seed, on_step=film.add)
+    every = max(1, round(scenario.steps / (FILM_SECONDS * FPS)))
+    env.caption, env.speed = caption, every * scenario.control_period * FPS
+
+    def watch(shown: Any) -> None:
+        if shown.steps % every == 0 or not shown.agents:
+            film.add(_shrink(shown.render()))
+
+    with Film(path, FPS, HOLD) as film:
+        rollout(env, player, one.seed, on_step=watch)
     env.close()
+
+
+def _shrink(picture: np.ndarray) -> np.ndarray:
+    """Return a picture whose pixels are means of squares, shape (height, width, 3) uint8."""
+    height, width = (size // (2 * SHRINK) * 2 for size in picture.shape[:2])  # even, as films need it
+    squares = picture[: SHRINK * height, : SHRINK * width].reshape(height, SHRINK, width, SHRINK, 3)
+    return squares.mean(axis=(1, 3)).astype(np.uint8)

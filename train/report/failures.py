@@ -15,7 +15,7 @@ from train.evaluation.journal import read_record
 from train.report.tables import write_table
 
 FOLDER = "failures"
-TYPES = {".png": "image/png", ".gif": "image/gif"}
+TYPES = {".png": "image/png", ".mp4": "video/mp4"}
 MOST_NUMBERS = 4  # that are listed with what they explain
 
 
@@ -126,7 +126,7 @@ def _list_moved(one: Failure) -> str:
 
 
 def _write_picture(folder: Path, name: str, caption: str) -> str:
-    """Write a picture whose content is part of the page.
+    """Write a picture or a film whose content is part of the page.
 
     Raises:
         InputError: it lies elsewhere, is of another kind, or cannot be read.
@@ -138,7 +138,8 @@ def _write_picture(folder: Path, name: str, caption: str) -> str:
         content = base64.b64encode((folder / name).read_bytes()).decode()
     except OSError as error:
         raise InputError(f"evaluation file {folder / name}: cannot be read: {error.strerror}") from None
-    return (
-        f'<figure><img loading="lazy" src="data:{kind};base64,{content}" alt="{escape(caption)}">'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
-    )
+    source, told = f"data:{kind};base64,{content}", escape(caption)
+    shown = f'<img src="{source}" alt="{told}">'
+    if kind.startswith("video"):
+        shown = f'<video controls loop muted playsinline preload="metadata" src="{source}" aria-label="{told}"></video>'
+    return f"<figure>{shown}<figcaption>{told}</figcaption></figure>"

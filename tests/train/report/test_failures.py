@@ -27,7 +27,7 @@ RECORD = {
             "found": 10,
             "not_nominal": {"restitution": 0.32},
             "nominal": {"restitution": 0.8},
-            "film": f"{number}.gif",
+            "film": f"{number}.mp4",
         }
         for number, robustness in ((1, -0.3), (2, -0.8))
     ],
@@ -37,7 +37,7 @@ RECORD = {
 def put(folder, record):
     (folder / "failures").mkdir(exist_ok=True)
     (folder / "failures" / "pong.json").write_text(json.dumps(record))
-    for name in ("map.png", "1.gif", "2.gif"):
+    for name in ("map.png", "1.mp4", "2.mp4"):
         (folder / "failures" / name).write_bytes(b"picture")
 
 
@@ -50,14 +50,14 @@ def test_every_cause_is_a_row_and_every_picture_is_inside(tmp_path):
     text = write_failures(tmp_path)
     assert text.count('<th scope="row">') == 2
     assert "restitution 0.32 (nominal 0.8)" in text
-    assert text.count("data:image/gif;base64,") == 2
+    assert text.count("data:video/mp4;base64,") == 2
     assert text.count("data:image/png;base64,") == 1
     assert "Counterexample 2 (the worst)" in text
     assert "1 (the worst)" not in text
     assert "<b>mine" not in text
 
 
-@pytest.mark.parametrize("name", ["../1.gif", "page.html", "missing.png"])
+@pytest.mark.parametrize("name", ["../1.mp4", "page.html", "missing.png"])
 def test_picture_that_is_none_of_the_folders_is_refused(name, tmp_path):
     put(tmp_path, RECORD | {"map": name})
     with pytest.raises(InputError, match="evaluation file"):
