@@ -218,6 +218,10 @@ class Truth(Table):
     # Each impact of a robot adds up to so much per axis to the object's velocity, drawn anew, and takes the momentum
     # from the robot's; in half of the worlds anything up to it, in the others it or its opposite [m/s].
     impact_deviation: Annotated[Size, Drawn("object", (SHARE, SHARE), spare=True)] = 0.0
+    robot_start_x: Annotated[Quantity, Drawn("robot")] = 0.0  # start of every robot, from where it is believed [m]
+    robot_start_y: Annotated[Quantity, Drawn("robot")] = 0.0  # the same along y [m]
+    object_start_x: Annotated[Quantity, Drawn("object")] = 0.0  # start of every object, from where it is believed [m]
+    object_start_y: Annotated[Quantity, Drawn("object")] = 0.0  # the same along y [m]
 
     dropout_seconds: Positive = 1.0  # [s]
     thruster_on_off: bool = False  # thrusters are off or full at the control rate
@@ -228,7 +232,12 @@ class Truth(Table):
     def moves_bodies(self) -> bool:
         """Return whether in any world a centre of mass is offset, or anything is moved but by what the law says."""
         moved = ("center_of_mass_offset", "drift", "start_spread", "impact_deviation")
-        return any(getattr(self, name) != 0.0 for name in moved)
+        return self.moves_starts or any(getattr(self, name) != 0.0 for name in moved)
+
+    @property
+    def moves_starts(self) -> bool:
+        """Return whether in any world a robot or an object starts beside where it is believed, but for its box."""
+        return any(getattr(self, f"{kind}_start_{axis}") != 0.0 for kind in ("robot", "object") for axis in "xy")
 
     @property
     def changes_thrusters(self) -> bool:
@@ -245,7 +254,7 @@ class Physics(NamedTuple):
 
     Attributes:
         contact: shape (3,).
-        body: shape (n, 12); what is not mass or inertia is zero for robots.
+        body: shape (n, 12); what is not mass, inertia or start is zero for robots.
         thruster: shape (robots, 12).
         sensor: shape (2,).
         true: what is not drawn.
@@ -365,6 +374,9 @@ class FreeFlyerScenario(Scenario):
             spread = drawn["start_spread"].reshape(worlds, n - robots, 3)
             halves = np.array([item.start_uncertainty for item in self.objects.values()]).reshape(-1, 2)
             body[:, robots:, START_X : START_Y + 1] = spread[:, :, :1] * spread[:, :, 1:] * halves
+        if self.true.moves_starts:
+            for column, axis in ((START_X, "x"), (START_Y, "y")):
+                body[:, :, column] += np.hstack([drawn[f"robot_start_{axis}"], drawn[f"object_start_{axis}"]])
         if self.true.impact_deviation != 0.0:
             deviation = drawn["impact_deviation"].reshape(worlds, n - robots, 3)
             body[:, robots:, DEVIATION] = deviation[:, :, 0]
@@ -448,20 +460,19 @@ class FreeFlyerScenario(Scenario):
 
     @model_validator(mode="after")
     def _spread_fits(self) -> Self:
-        """Refuse boxes in which an object could start inside something else."""
-        spread = largest(self.true.start_spread)
-        halves = {name: spread * np.array(item.start_uncertainty) for name, item in self.objects.items()}
-        for name in self.objects if any(map(np.any, halves.values())) else ():
-            start, radius, half = np.array(self.objects[name].start), self.objects[name].radius, halves[name]
-            where = (
-                f"objects.{name}.start_uncertainty = {list(self.objects[name].start_uncertainty)}: {name} could start"
-            )
+        """Refuse boxes in which a body could start inside something else."""
+        halves = {name: self._find_reach(name) for name in self.bodies}
+        for name, half in halves.items():
+            if not half.any():
+                continue
+            start, radius = np.array(self.body(name).start), self.body(name).radius
+            where = f"{self._name_reach(name)}: {name} could start"
             room = np.minimum(start - self.world.lower, self.world.upper - start)
             if (room < half + radius).any():
                 raise ValueError(f"{where} outside the world")
             for other in self.bodies:
                 body = self.body(other)
-                apart = np.abs(start - body.start) - half - halves.get(other, 0.0)
+                apart = np.abs(start - body.start) - half - halves[other]
                 if other != name and np.hypot(*np.maximum(apart, 0.0)) < radius + body.radius:
                     raise ValueError(f"{where} in {other}")
             for area, obstacle in self.obstacles.items():
@@ -469,6 +480,23 @@ class FreeFlyerScenario(Scenario):
                 if obstacle.solid and np.max(H @ start - np.abs(H) @ half - b) < radius:
                     raise ValueError(f"{where} in the solid obstacle '{area}'")
         return self
+
+    def _find_reach(self, name: str) -> np.ndarray:
+        """Return how far from where the scenario says a body may start, along each axis, shape (2,) [m]."""
+        kind = "robot" if name in self.robots else "object"
+        moved = [getattr(self.true, f"{kind}_start_{axis}") for axis in "xy"]
+        box = largest(self.true.start_spread) * np.array(getattr(self.body(name), "start_uncertainty", (0.0, 0.0)))
+        reach: np.ndarray = box + [max(-smallest(quantity), largest(quantity)) for quantity in moved]
+        return reach
+
+    def _name_reach(self, name: str) -> str:
+        """Return the keys that say how far from where the scenario says a body may start."""
+        kind, keys = "robot" if name in self.robots else "object", []
+        if kind == "object" and any(self.objects[name].start_uncertainty):
+            keys.append(f"objects.{name}.start_uncertainty = {list(self.objects[name].start_uncertainty)}")
+        if self.true.moves_starts:
+            keys.append(f"true.{kind}_start_x, true.{kind}_start_y")
+        return " with ".join(keys)
 
     def _check_inside(self, name: str) -> None:
         body = self.body(name)

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from tyro.conf import Positional
 
+from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from train.cli.progress import say_written
-from train.evaluation.case import make_case
+from train.evaluation.case import Case, make_case
+
+if TYPE_CHECKING:
+    from train.falsification.arena import Arena, Played
+    from train.falsification.counterexample import Counterexample
 
 
 @dataclass
@@ -27,6 +33,9 @@ class Command:
     """Shipped name or TOML file."""
     suite: str = "hard"
     """Suite whose ranges are searched."""
+    vary: tuple[str, ...] = ()
+    """Further ranges, or others than the suite's: start=0.05 for robots and objects that start up to 0.05 m from where
+    the plan has them, along x and y; robot_start=, object_start=; NAME=LOW,HIGH for what the suite may draw."""
     episodes: int = 3000
     """Of the search."""
     method: Literal["random", "cross_entropy", "cma"] = "cross_entropy"
@@ -43,6 +52,8 @@ class Command:
     """Write a copy of the scenario with a suite break_1, break_2, ... for each; every command takes it."""
     map: Path | None = None
     """Draw robustness over the two disturbances that explain most of it: a .png, .pdf or .svg."""
+    report: Path | None = None
+    """Folder of an evaluation: put counterexamples, map and films there, where impact report shows them."""
     json: bool = False
 
     def run(self) -> dict[str, Any]:
@@ -51,15 +62,12 @@ class Command:
         from train.evaluation.player import Job
         from train.falsification.arena import Arena
         from train.falsification.counterexample import find_counterexamples
-        from train.falsification.robustness_map import check_map, compute_importance, draw_map
+        from train.falsification.robustness_map import check_map
         from train.falsification.search import SearchOptions, search_failures
         from train.falsification.suite_file import write_suites
-        from train.pictures.file import check_picture_path, save_figure
 
         self._check()
-        if self.map is not None:
-            check_picture_path(self.map)
-        case, options = make_case(self.scenario, self.suite), SearchOptions(self.method, self.episodes)
+        case, options = self._make_case(), SearchOptions(self.method, self.episodes)
         check_request([case], [self.policy], self.episodes, self.seed, self.workers)
         arena = Arena(case, self.policy, options.width)  # refuses what cannot be searched before anything is planned
         if self.map is not None:
@@ -71,43 +79,86 @@ class Command:
             seconds, searched = time.perf_counter() - start, arena.episodes
             fresh = self.seed + 100_000 + np.arange(self.fresh)
             found = find_counterexamples(arena, played, self.most, fresh)
-            total = arena.episodes
-            importance = dict(zip(arena.names, compute_importance(played), strict=True))
-            if self.map is not None:
-                title = f"{self.policy} in {case.scenario.name}, {self.suite}: {searched} episodes"
-                save_figure(draw_map(arena, played, found, title, case.scenario.specification), self.map)
-                say_written(self.map)
-        names = write_suites(case, self.scenario, found, self.out) if self.out else [""] * len(found)
         if self.out:
+            write_suites(case, self.scenario, found, self.out)
             say_written(self.out)
-        rows = [
-            {
-                "suite": name or f"break_{number}",
-                "cause": one.cause,
-                "seed": one.seed,
-                "robustness": one.robustness,
-                "failure_rate": one.failure_rate,
-                "found": one.found,
-                "not_nominal": {key.removeprefix("true."): one.values[key] for key in one.moved},
-            }
-            for number, (name, one) in enumerate(zip(names, found, strict=True), start=1)
-        ]
-        return {
+        result = {
             "scenario": case.scenario.name,
             "suite": self.suite,
+            **({"vary": list(self.vary)} if self.vary else {}),
             "policy": self.policy,
             "episodes": searched,
             "failures": int(np.sum(~played.success)),
             "least_robustness": float(played.robustness.min()),
             "episodes_per_minute": 60.0 * searched / max(seconds, 1e-9),
-            "episodes_with_minimising": total,
-            "explains": {name: round(importance[name], 3) for name in sorted(importance, key=lambda n: -importance[n])},
-            "counterexamples": rows,
+            "episodes_with_minimising": arena.episodes,
+            **_describe(arena, played, found),
         }
+        self._show(case, arena, played, found, result)
+        return result
+
+    def _show(self, case: Case, arena: Arena, played: Played, found: list[Counterexample], result: Any) -> None:
+        """Draw the map, and put what was found beside the evaluation, where it is asked for."""
+        from train.falsification.record import write_record
+        from train.falsification.robustness_map import draw_map
+        from train.pictures.file import save_figure
+
+        if self.map is None and self.report is None:
+            return
+        figure = None
+        if len(arena.names) > 1:
+            title = f"{self.policy} in {case.scenario.name}, {self.suite}: {result['episodes']} episodes"
+            figure = draw_map(arena, played, found, title, case.scenario.specification)
+        if self.map is not None and figure is not None:
+            save_figure(figure, self.map)
+            say_written(self.map)
+        if self.report is not None:
+            say_written(write_record(self.report, case, self.policy, result, found, figure))
+
+    def _make_case(self) -> Case:
+        """Return the case that is searched."""
+        case = make_case(self.scenario, self.suite)
+        if not self.vary:
+            return case
+        pinned = find_part("train", case.scenario.domain, "PINNED")
+        if pinned is None:
+            raise InputError(f"--vary: worlds of domain '{case.scenario.domain}' cannot be chosen")
+        return make_case(self.scenario, self.suite, pinned.read_ranges(self.vary))
 
     def _check(self) -> None:
+        from train.falsification.record import check_folder
+        from train.pictures.file import check_picture_path
+
         for name in ("episodes", "most", "fresh"):
             if getattr(self, name) < 1:
                 raise InputError(f"--{name} {getattr(self, name)}: at least 1 is needed")
         if self.out is not None and not self.out.absolute().parent.is_dir():
             raise InputError(f"cannot write {self.out}: folder {self.out.absolute().parent} does not exist")
+        if self.map is not None:
+            check_picture_path(self.map)
+        if self.report is not None:
+            check_folder(self.report)
+
+
+def _describe(arena: Arena, played: Played, found: Sequence[Counterexample]) -> dict[str, Any]:
+    """Return what each number explains of the robustness, and the counterexamples, as JSON values."""
+    from train.falsification.robustness_map import compute_importance
+    from train.falsification.suite_file import name_suites
+
+    importance = dict(zip(arena.names, compute_importance(played), strict=True))
+    usual = arena.worlds.list_values(arena.worlds.nominal)
+    rows = [
+        {
+            "suite": name,
+            "cause": one.cause,
+            "seed": one.seed,
+            "robustness": one.robustness,
+            "failure_rate": one.failure_rate,
+            "found": one.found,
+            "not_nominal": {key.removeprefix("true."): one.values[key] for key in one.moved},
+            "nominal": {key.removeprefix("true."): usual[key] for key in one.moved},
+        }
+        for name, one in zip(name_suites(found), found, strict=True)
+    ]
+    explains = {name: round(importance[name], 3) for name in sorted(importance, key=lambda name: -importance[name])}
+    return {"explains": explains, "counterexamples": rows}

@@ -17,6 +17,7 @@ from train.cli.plan import check_plan_options, load_plan
 from train.cli.progress import say_written
 from train.evaluation.case import EVALUATION_SEEDS, check_settings, has_expert, make_case
 from train.pictures.file import check_picture_path
+from train.pictures.film import find_followed, sample_curves
 from train.settings import parse_settings
 
 
@@ -71,7 +72,7 @@ class Command:
         policy = make_policy(self.policy, scenario, plan, case.options)
         record = self._make_record(scenario, policy)
         env = parallel_env(scenario, render_mode="rgb_array" if film else None)
-        env.curves |= _sample_curves(policy)
+        env.curves |= sample_curves(policy)
         if film:
             env.caption, env.speed = film.caption, film.speed
 
@@ -92,7 +93,7 @@ class Command:
         return (
             _summarize(episode, scenario, self.suite)
             | {"set": settings}
-            | measure(find_metrics(scenario.domain), episode, scenario, _find_plan(policy))
+            | measure(find_metrics(scenario.domain), episode, scenario, find_followed(policy))
             | (figures(record, episode) if figures else {})
             | (given.describe() if given else {})
             | _explain(episode, scenario, self.policy)
@@ -129,23 +130,6 @@ class Command:
         make = find_part("train", scenario.domain, "RECORD")
         asked = self.plot or find_part("train", scenario.domain, "FIGURES")
         return make(scenario, policy) if make and asked else None
-
-
-def _find_plan(policy: Any) -> Any:
-    """Return the plan that a policy follows, None without one."""
-    return getattr(getattr(policy, "expert", policy), "plan", None)
-
-
-def _sample_curves(policy: Any) -> dict[str, Any]:
-    """Return the curves of the plan a policy follows, as polylines."""
-    import numpy as np
-
-    plan = _find_plan(policy)
-    if plan is None:
-        return {}
-    times = np.linspace(0.0, plan.horizon, 400)
-    curves = plan.robots | plan.objects
-    return {name: np.array([curve.position(t) for t in times]) for name, curve in curves.items()}
 
 
 def _explain(episode: Any, scenario: Scenario, policy: str) -> dict[str, str]:

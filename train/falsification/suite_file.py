@@ -11,14 +11,14 @@ from typing import Any
 from impact_envs.domain import find_scenarios
 from impact_envs.errors import InputError
 from impact_envs.file import write_atomically
-from train.evaluation.case import Case, list_changes
+from train.evaluation.case import EXPERT, Case, list_changes
 from train.falsification.counterexample import Counterexample
 
 
 def write_suites(case: Case, source: str, found: Sequence[Counterexample], path: Path) -> list[str]:
     """Write a copy of a scenario's file with a suite for each counterexample.
 
-    The suites are those of the case, with every range narrowed to the counterexample's value.
+    The suites are those of the case, with its changed values, and every range narrowed to the counterexample's value.
 
     Args:
         case: that was searched.
@@ -34,13 +34,14 @@ def write_suites(case: Case, source: str, found: Sequence[Counterexample], path:
     """
     text = read_source(source)
     data = tomllib.loads(text)
-    names = [f"break_{number}" for number in range(1, len(found) + 1)]
+    names = name_suites(found)
     taken = set(names) & set(data.get("suites", {}))
     if taken:
         raise InputError(f"{source}: has a suite '{min(taken)}' already; rename it")
     if "name" not in data:
         text = f"name = {json.dumps(case.scenario.name)}\n{text}"
-    base = dict(list_changes(case.scenario, case.suite))
+    changed = {key: value for key, value in case.settings.items() if not key.startswith(EXPERT)}
+    base = list_changes(case.scenario, case.suite) | changed
     for name, one in zip(names, found, strict=True):
         values = base | {key: {"uniform": [value, value]} for key, value in one.values.items()}
         moved = ", ".join(f"{key.removeprefix('true.')} {one.values[key]:.4g}" for key in one.moved) or "nothing"
@@ -49,6 +50,11 @@ def write_suites(case: Case, source: str, found: Sequence[Counterexample], path:
         text += "".join(f"{json.dumps(key)} = {_write(value)}\n" for key, value in values.items())
     write_atomically(path, text.encode())
     return names
+
+
+def name_suites(found: Sequence[Counterexample]) -> list[str]:
+    """Return the names of the counterexamples' suites, in their order."""
+    return [f"break_{number}" for number in range(1, len(found) + 1)]
 
 
 def read_source(source: str) -> str:

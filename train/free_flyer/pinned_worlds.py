@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
+from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.schema import Drawn, FreeFlyerScenario, Physics, Truth
 from impact_envs.scenario import Uniform
+
+# Names of several fields of `Truth` that a user varies as one.
+GROUPS = {
+    name: tuple(f"{kind}_start_{axis}" for kind in kinds for axis in "xy")
+    for name, kinds in (
+        ("start", ("robot", "object")), ("robot_start", ("robot",)), ("object_start", ("object",)),
+    )
+}  # fmt: skip
+DRAWN = tuple(
+    name for name, field in Truth.model_fields.items() if any(isinstance(how, Drawn) for how in field.metadata)
+)
 
 
 class PinnedScenario:
@@ -33,6 +46,26 @@ class PinnedScenario:
         self._read_ranges()
         self.names = tuple(self._columns)
         self._places: np.ndarray | None = None
+
+    @staticmethod
+    def read_ranges(texts: Iterable[str]) -> dict[str, Any]:
+        """Return the changes of a scenario, dotted key to range, that some texts ask for.
+
+        Args:
+            texts: NAME=LOW,HIGH, a field of `Truth`; NAME=HALF means from -HALF to HALF. ``start`` is how far robots
+                and objects start from where they are believed, along x and y [m]; ``robot_start``, ``object_start``.
+
+        Raises:
+            InputError: a name that is none, or no range.
+        """
+        changes = {}
+        for text in texts:
+            name, _, ends = text.partition("=")
+            if name not in (*GROUPS, *DRAWN):
+                raise InputError(f"--vary {text}: '{name}' is unknown; {choices(name, (*GROUPS, *DRAWN))}")
+            uniform = _read_ends(text, ends)
+            changes |= {f"true.{field}": {"uniform": uniform} for field in GROUPS.get(name, (name,))}
+        return changes
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._scenario, name)
@@ -87,6 +120,18 @@ class PinnedScenario:
             value = float(low + (high - low) * place)
             values[f"true.{name}"] = min(float(np.floor(value)), high - 1.0) if self._whole[name] else value
         return values
+
+
+def _read_ends(text: str, ends: str) -> list[float]:
+    """Return the least and the greatest value of a range."""
+    try:
+        values = [float(end) for end in ends.split(",")]
+    except ValueError:
+        values = []
+    uniform = [-values[0], values[0]] if len(values) == 1 else values
+    if len(uniform) != 2 or not all(map(math.isfinite, uniform)) or not uniform[0] < uniform[1]:
+        raise InputError(f"--vary {text}: NAME=HALF or NAME=LOW,HIGH is needed, for example start=0.05")
+    return uniform
 
 
 def _find_place(value: float, low: float, high: float) -> float:

@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from impact_envs.errors import InputError, choices
 from impact_envs.scenario import Scenario
 
@@ -94,3 +96,18 @@ class Viewer:
         self._window.draw(replace(env.make_frame(), note=self.note), last=over)
         if over:
             self._window.hold(HOLD)
+
+
+def find_followed(policy: Any) -> Any:
+    """Return the plan that a policy follows, None without one."""
+    return getattr(getattr(policy, "expert", policy), "plan", None)
+
+
+def sample_curves(policy: Any) -> dict[str, Any]:
+    """Return the curves of the plan a policy follows, as polylines."""
+    plan = find_followed(policy)
+    if plan is None:
+        return {}
+    times = np.linspace(0.0, plan.horizon, 400)
+    curves = plan.robots | plan.objects
+    return {name: np.array([curve.position(t) for t in times]) for name, curve in curves.items()}

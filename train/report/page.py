@@ -1,4 +1,4 @@
-"""One self-contained HTML page from an evaluation: tables, replays, robustness over time, distributions."""
+"""One self-contained HTML page from an evaluation: tables, replays, distributions, failures that were searched for."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from planners.plan import Plan
 from train.evaluation.journal import JudgedCase
 from train.evaluation.results import Evaluation, Replay, read_evaluation
 from train.report.comparison import write_comparison
+from train.report.failures import write_failures
 from train.report.learning import collect_learning, write_learning
 from train.report.suites import write_suites
 from train.report.tables import Look, write_differences, write_results
@@ -65,6 +66,7 @@ def write_report(directory: str | Path) -> Path:
         plot=source.joinpath("plot.js").read_text(encoding="utf-8"),
         suites=write_suites(evaluation.manifest.cases),
         learning=write_learning(data["learning"]),
+        failures=write_failures(Path(directory)),
         data=_inline(data),
     )
     path = Path(directory) / "report.html"

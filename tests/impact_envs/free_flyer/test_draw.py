@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from impact_envs import InputError, list_scenarios, load_scenario, parallel_env, vector_env
+from impact_envs import InputError, ScenarioError, list_scenarios, load_scenario, parallel_env, vector_env
 from impact_envs.free_flyer.schema import (
     DRIFT_X,
     DRIFT_Y,
@@ -170,6 +170,30 @@ def test_an_object_starts_anywhere_in_its_box():
         :, robots:, START_X : START_Y + 1
     ]
     np.testing.assert_allclose(half[:, 0], starts[:10, robots] / 2, rtol=1e-12)
+
+
+def test_every_body_may_start_beside_where_it_is_believed():
+    ranges = {f"true.{kind}_start_{axis}": {"uniform": [-0.05, 0.1]} for kind in ("robot", "object") for axis in "xy"}
+    scenario = load_scenario("throw_and_catch").override(ranges)
+    starts = draw_rows(scenario, range(500))[0].body[:, :, START_X : START_Y + 1]
+    assert np.all((starts >= -0.05) & (starts <= 0.1))
+    assert np.all(np.abs(starts.mean(axis=0) - 0.025) < 0.01)
+    np.testing.assert_array_equal(
+        scenario.place_bodies(scenario.draw(np.random.default_rng(0)))[:, 2:], scenario.starts[:, 2:]
+    )
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"true.robot_start_x": 30.0}, "true.robot_start_x, true.robot_start_y: snap could start outside"),
+        ({"true.object_start_y": {"uniform": [-2.1, 0.0]}}, "pop could start outside"),
+        ({"true.object_start_y": {"uniform": [-0.8, 0.0]}, "true.object_start_x": -0.4}, "could start in"),
+    ],
+)
+def test_starts_inside_of_something_else_are_refused(values, words):
+    with pytest.raises(ScenarioError, match=words):
+        load_scenario("throw_and_catch").override(values)
 
 
 def test_what_is_not_asked_for_draws_nothing():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from impact_envs.errors import InputError
+from impact_envs.free_flyer.schema import START_X, START_Y
 from impact_envs.stl import parse
 from planners.plan import Plan
 from train.evaluation.batch_player import play_batched
@@ -118,8 +119,9 @@ def test_pinned_worlds_have_the_values_that_are_told():
     assert pinned.draw_many(uniforms[:1]).contact[0, 0] == scenario.believed.restitution
 
 
-def test_suite_that_is_written_has_the_very_episode_that_was_found(tmp_path):
-    case = replace(make_case("throw_and_catch", "hard"), plan=PLAN)
+@pytest.mark.parametrize("vary", [(), ("start=0.04", "friction=0,0.1")])
+def test_suite_that_is_written_has_the_very_episode_that_was_found(vary, tmp_path):
+    case = replace(make_case("throw_and_catch", "hard", PinnedScenario.read_ranges(vary)), plan=PLAN)
     arena = Arena(case, "expert", 4, threads=2)
     places, seeds = np.random.default_rng(3).random((2, len(arena.names))), np.array([TUNING, TUNING + 1])
     played = arena.play(places, seeds)
@@ -135,6 +137,27 @@ def test_suite_that_is_written_has_the_very_episode_that_was_found(tmp_path):
         assert again.scenario.name == "throw_and_catch"  # so that plans fit
         ((row, _),) = play_batched([again], [Job(0, "expert", one.seed)])
         assert row["robustness"] == one.robustness
+
+
+def test_starts_are_varied_around_the_scenarios_and_the_plan_knows_nothing_of_it():
+    case = make_case("throw_and_catch", "nominal", PinnedScenario.read_ranges(["start=0.05"]))
+    pinned = PinnedScenario(case.scenario)
+    assert pinned.names == ("robot_start_x", "robot_start_y", "object_start_x", "object_start_y")
+    pinned.pin(np.array([[0.0, 1.0, 0.5, 0.75], pinned.nominal]))
+    drawn = pinned.draw_many(np.random.default_rng(0).random((2, case.scenario.draw_count)))
+    moved = drawn.body[:, :, START_X : START_Y + 1]
+    robots = len(case.scenario.robots)
+    np.testing.assert_allclose(moved[0, :robots], [[-0.05, 0.05]] * robots)
+    np.testing.assert_allclose(moved[0, robots:], [[0.0, 0.025]], atol=1e-15)
+    assert not moved[1].any()
+    believed = make_case("throw_and_catch").scenario.as_believed()
+    np.testing.assert_array_equal(case.scenario.as_believed().starts, believed.starts)
+
+
+@pytest.mark.parametrize("text", ["star=0.1", "start", "start=a", "start=0", "restitution=0.5,0.4", "start=1,2,3"])
+def test_range_that_is_none_is_refused(text):
+    with pytest.raises(InputError, match=f"--vary {text}"):
+        PinnedScenario.read_ranges([text])
 
 
 def test_what_cannot_be_searched_is_refused():
