@@ -58,7 +58,7 @@ class PinnedScenario:
         Raises:
             InputError: a name that is none, or no range.
         """
-        changes = {}
+        changes: dict[str, Any] = {}
         for text in texts:
             name, _, ends = text.partition("=")
             if name not in (*GROUPS, *DRAWN):
