@@ -108,4 +108,5 @@ def _shrink(picture: np.ndarray) -> np.ndarray:
     """Return a picture whose pixels are means of squares, shape (height, width, 3) uint8."""
     height, width = (size // (2 * SHRINK) * 2 for size in picture.shape[:2])  # even, as films need it
     squares = picture[: SHRINK * height, : SHRINK * width].reshape(height, SHRINK, width, SHRINK, 3)
-    return squares.mean(axis=(1, 3)).astype(np.uint8)
+    means: np.ndarray = squares.mean(axis=(1, 3))
+    return means.astype(np.uint8)

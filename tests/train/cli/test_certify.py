@@ -45,6 +45,9 @@ BAD = {
     "one policy": (("compare", "expert", "--until", "decided", "--scenario", "pong"), ["two policies", "expert"]),
     "no until": (("compare", "a", "--scenario", "pong"), ["--until decided"]),
     "nothing drawn": (("break", "zero", "pong", "--suite", "nominal"), ["nominal", "draws nothing"]),
+    "no such number": (("break", "zero", "pong", "--vary", "strat=0.1"), ["--vary strat=0.1", "start"]),
+    "no evaluation": (("break", "zero", "pong", "--report", "nowhere"), ["--report nowhere", "impact evaluate"]),
+    "starts outside": (("break", "zero", "pong", "--vary", "start=50"), ["could start outside the world"]),
     "no episodes": (("break", "zero", "pong", "--episodes", "0"), ["--episodes 0"]),
 }
 

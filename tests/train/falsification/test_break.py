@@ -119,10 +119,11 @@ def test_pinned_worlds_have_the_values_that_are_told():
     assert pinned.draw_many(uniforms[:1]).contact[0, 0] == scenario.believed.restitution
 
 
+@pytest.mark.parametrize("policy", ["expert", "zero"])
 @pytest.mark.parametrize("vary", [(), ("start=0.04", "friction=0,0.1")])
-def test_suite_that_is_written_has_the_very_episode_that_was_found(vary, tmp_path):
+def test_suite_that_is_written_has_the_very_episode_that_was_found(vary, policy, tmp_path):
     case = replace(make_case("throw_and_catch", "hard", PinnedScenario.read_ranges(vary)), plan=PLAN)
-    arena = Arena(case, "expert", 4, threads=2)
+    arena = Arena(case, policy, 4, threads=2)
     places, seeds = np.random.default_rng(3).random((2, len(arena.names))), np.array([TUNING, TUNING + 1])
     played = arena.play(places, seeds)
     arena.close()
@@ -135,7 +136,7 @@ def test_suite_that_is_written_has_the_very_episode_that_was_found(vary, tmp_pat
     for name, one in zip(names, found, strict=True):
         again = replace(make_case(path, name), plan=PLAN)
         assert again.scenario.name == "throw_and_catch"  # so that plans fit
-        ((row, _),) = play_batched([again], [Job(0, "expert", one.seed)])
+        ((row, _),) = play_batched([again], [Job(0, policy, one.seed)])
         assert row["robustness"] == one.robustness
 
 
