@@ -3,6 +3,7 @@
 import pickle
 import re
 import sys
+import tempfile
 from pathlib import Path
 
 import gymnasium
@@ -257,7 +258,8 @@ def test_shared_policy_gives_every_agent_its_own():
     assert len(policy.diagnostics().solve_seconds) == 1
 
 
-def test_the_page_does_what_it_says(folder, capsys):
+def test_the_page_does_what_it_says(folder, capsys, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))  # where SB3's logger makes a folder
     blocks = re.findall(r"```(\w*)(?: title=(\S+))?\n(.*?)```", PAGE.read_text(), re.S)
     commands = []
     sys.path.insert(0, str(folder))
