@@ -163,9 +163,18 @@ def check_evaluations(checkpoint: Path, evaluations: list[dict[str, Any]]) -> No
     """
     for place, evaluation in enumerate(evaluations):
         for name in ("iterations", "share", "low", "success_rate", "expert_success_rate"):
-            if type(evaluation.get(name)) not in (int, float):
-                where = f"{checkpoint}: key 'evaluations.{place}'"
-                raise InputError(f"{where}: {name} = {evaluation.get(name)!r:.60}: a number is needed")
+            _check_number(checkpoint, f"evaluations.{place}", evaluation, name)
+        sources = evaluation.get("sources")
+        if not isinstance(sources, list) or not all(isinstance(source, dict) for source in sources):
+            raise InputError(f"{checkpoint}: key 'evaluations.{place}': sources = {sources!r:.60}: a list is needed")
+        for number, source in enumerate(sources):
+            for name in ("success_rate", "expert_success_rate"):
+                _check_number(checkpoint, f"evaluations.{place}.sources.{number}", source, name)
+
+
+def _check_number(checkpoint: Path, key: str, held: dict[str, Any], name: str) -> None:
+    if type(held.get(name)) not in (int, float):
+        raise InputError(f"{checkpoint}: key '{key}': {name} = {held.get(name)!r:.60}: a number is needed")
 
 
 def last_checkpoint(out: Path) -> Path | None:

@@ -32,8 +32,14 @@ def rate_evaluation(evaluation: dict[str, Any], loss: float) -> float:
 
 
 def loses_success(evaluation: dict[str, Any], loss: float) -> bool:
-    """Return whether a policy succeeds less often than the expert, by more than a share of the episodes."""
-    return bool(evaluation["success_rate"] < evaluation["expert_success_rate"] - loss - ROUNDING)
+    """Return whether a policy succeeds less often than the expert, by more than a share of the episodes.
+
+    What it wins in one suite does not pay for what it loses in another. The share of one of n is known sqrt(n) times
+    less well than that of all, so it may lose so many times as much.
+    """
+    alone = loss * math.sqrt(max(len(evaluation["sources"]), 1))
+    parts = [(evaluation, loss), *((source, alone) for source in evaluation["sources"])]
+    return any(part["success_rate"] < part["expert_success_rate"] - limit - ROUNDING for part, limit in parts)
 
 
 def compare_episodes(args: Args, played: Played, scale: float, failure: float) -> np.ndarray:
@@ -61,6 +67,7 @@ def find_failure_cost(args: Args, evaluations: Sequence[dict[str, Any]]) -> floa
     cost, highest = args.failure, max(args.failure, args.highest_failure)
     for evaluation in evaluations:
         if evaluation["share"] == 1.0:  # a share of a policy says nothing of it
-            lost = evaluation["success_rate"] < evaluation["expert_success_rate"]
+            fewer = evaluation["success_rate"] < evaluation["expert_success_rate"]
+            lost = fewer or loses_success(evaluation, args.loss)
             cost = min(args.failure_rise * cost, highest) if lost else max(args.failure, args.failure_fall * cost)
     return cost

@@ -56,7 +56,7 @@ def training(tmp_path_factory):
     folder = tmp_path_factory.mktemp("training")
     model = make_small()
     practise(model)
-    scored = {"iterations": 1, "low": 0.0, "success_rate": 1.0, "expert_success_rate": 1.0}
+    scored = {"iterations": 1, "low": 0.0, "success_rate": 1.0, "expert_success_rate": 1.0, "sources": []}
     save_training(folder, model, STATISTICS, 1, [0.5], {"seed": 0}, [scored])
     return read_folder(folder)
 

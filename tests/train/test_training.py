@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,9 @@ from train.evaluation.paired import QUANTILE, Gain, compute_gain, compute_interq
 from train.residual import Args, check_evaluations, main
 from train.score import compare_episodes, compute_scores, find_failure_cost, rate_evaluation
 
-SCORED = {"iterations": 0, "share": 1.0, "low": 0.0, "success_rate": 1.0, "expert_success_rate": 1.0}
+SCORED: dict[str, Any] = {
+    "iterations": 0, "share": 1.0, "low": 0.0, "success_rate": 1.0, "expert_success_rate": 1.0, "sources": []
+}  # fmt: skip
 STEPS = 96  # three iterations and a bit: an episode of throw_and_catch asks for two corrections
 
 
@@ -140,9 +143,17 @@ def test_the_policy_that_surely_gains_most_is_kept(whole: Path) -> None:
 
 
 def test_a_policy_that_loses_success_is_not_kept_however_much_it_gains() -> None:
-    gains = {"low": 1.0, "success_rate": 0.9, "expert_success_rate": 0.92}
+    gains = {"low": 1.0, "success_rate": 0.9, "expert_success_rate": 0.92, "sources": []}
     assert rate_evaluation(gains, 0.01) < rate_evaluation(SCORED, 0.01)
     assert rate_evaluation(gains | {"success_rate": 0.91}, 0.01) == rate_evaluation(gains, 0.03) == 1.0
+
+
+def test_success_won_in_one_suite_does_not_pay_for_what_is_lost_in_another() -> None:
+    won, lost = {"success_rate": 0.9, "expert_success_rate": 0.8}, {"success_rate": 0.88, "expert_success_rate": 0.9}
+    both = {**SCORED, "success_rate": 0.89, "expert_success_rate": 0.85, "low": 1.0}
+    assert rate_evaluation({**both, "sources": [won, lost]}, 0.01) == -math.inf
+    assert rate_evaluation({**both, "sources": [won, lost]}, 0.015) == 1.0  # sqrt(2) times as much of one of two
+    assert find_failure_cost(Args(failure=0.5, failure_rise=2.0, loss=0.01), [{**both, "sources": [won, lost]}]) == 1.0
 
 
 @pytest.mark.parametrize("worse", [True, False])
@@ -448,10 +459,19 @@ def test_an_expert_that_asks_for_nothing_is_refused(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize(
-    "evaluation", [{}, {"iterations": 8}, SCORED | {"low": "8"}, SCORED | {"iterations": None}, SCORED | {"low": True}]
+    "evaluation",
+    [
+        {},
+        {"iterations": 8},
+        SCORED | {"low": "8"},
+        SCORED | {"iterations": None},
+        SCORED | {"low": True},
+        SCORED | {"sources": {}},
+        SCORED | {"sources": [{"success_rate": 1.0}]},
+    ],
 )
 def test_evaluations_that_cannot_be_compared_are_refused(evaluation: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match=r"runs/00000008: key 'evaluations\.1': "):
+    with pytest.raises(InputError, match=r"runs/00000008: key 'evaluations\.1(\.sources\.0)?': "):
         check_evaluations(Path("runs/00000008"), [SCORED, evaluation])
 
 

@@ -71,7 +71,7 @@ def test_zero_is_kept_unless_a_finalist_surely_gains_without_losing_success(
             if round(float(np.float32(share * means[place][0, 0])), 4) == value
         )
         found = {"gain": share * gain[place], "success_rate": 0.9 - share * loss[place], "expert_success_rate": 0.9}
-        return {"low": found["gain"], **found}
+        return {"low": found["gain"], "sources": [], **found}
 
     monkeypatch.setattr(tune, "judge", judge)
     args = replace(ARGS, shares=(1.0, 0.5, 0.25))
