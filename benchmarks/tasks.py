@@ -22,7 +22,6 @@ from statistics import median
 from typing import Any, Literal
 
 import numpy as np
-import task_flights
 import tyro
 
 from impact_envs.errors import InputError, check_count
@@ -312,6 +311,8 @@ def main(args: Args) -> None:
     if args.out:
         args.out.write_text(json.dumps([asdict(row) for row in rows], indent=1))
     if args.fly:
+        import task_flights  # a neighbour, which is found when this file is run, not when a test imports it
+
         task_flights.main(task_flights.Args(args.plans, args.fly))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from types import SimpleNamespace
 
 import pytest
@@ -25,26 +24,29 @@ def tasks(load_benchmark):
     return load_benchmark("tasks")
 
 
+@pytest.fixture(scope="module")
+def flights(load_benchmark):
+    return load_benchmark("task_flights")
+
+
 def hit(time, a, b):
     return Impact(time, a, b, (0.0, 0.0), (1.0, 0.0), (0.0, 0.0), 0.1)
 
 
-def test_a_task_is_planned_flown_and_won(tasks, tmp_path, capsys):
+def test_a_task_is_planned_flown_and_won(tasks, flights, tmp_path, capsys):
     plans = tmp_path / "plans"
     tasks.main(tasks.Args(count=1, seed=QUICK, plans=plans, fly=2, out=tmp_path / "rows.json"))
     row = json.loads((tmp_path / "rows.json").read_text())[0]
-    flights_module = sys.modules["task_flights"]
-    flights = flights_module.main(flights_module.Args(plans, 2, suites=("nominal",)))
-    assert [flight.success for flight in flights] == [True, True]
+    flown = flights.main(flights.Args(plans, 2, suites=("nominal",)))
+    assert [flight.success for flight in flown] == [True, True]
     # The believed world has no noise: the flight is as robust as its plan promises.
-    assert [flight.robustness for flight in flights] == pytest.approx(2 * [row["robustness"]], abs=1e-3)
+    assert [flight.robustness for flight in flown] == pytest.approx(2 * [row["robustness"]], abs=1e-3)
     assert "nominal  all          1       2   100.0%" in capsys.readouterr().out
 
 
-def test_flying_needs_plans(tasks, tmp_path):
+def test_flying_needs_plans(tasks, flights, tmp_path):
     with pytest.raises(InputError, match="--fly 2 needs --plans"):
         tasks.main(tasks.Args(count=1, fly=2))
-    flights = sys.modules["task_flights"]
     with pytest.raises(InputError, match=r"no plans task_SEED\.json"):
         flights.main(flights.Args(tmp_path))
 
@@ -59,13 +61,13 @@ def test_flying_needs_plans(tasks, tmp_path):
         ([hit(1.0, "r", "o")], float("inf"), "fewer impacts than planned"),
     ],
 )
-def test_the_first_thing_amiss_is_the_cause(tasks, impacts, unplanned, cause):
+def test_the_first_thing_amiss_is_the_cause(flights, impacts, unplanned, cause):
     world = SimpleNamespace(robots={"r": 0, "s": 0}, objects={"o": 0}, control_period=0.1)
     if impacts[0].b == "s":
         world = SimpleNamespace(robots={"r": 0}, objects={"s": 0, "o": 0}, control_period=0.1)
     planned = [SimpleNamespace(robot="r", object="o"), SimpleNamespace(robot="r", object=impacts[0].b)]
     episode = SimpleNamespace(failure="", impacts=tuple(impacts))
-    found = sys.modules["task_flights"].find_cause(world, SimpleNamespace(impacts=planned), episode, unplanned)
+    found = flights.find_cause(world, SimpleNamespace(impacts=planned), episode, unplanned)
     assert found == cause
 
 

@@ -115,7 +115,10 @@ def test_a_grid_has_every_combination() -> None:
         (["--learn", "tune"], "--learn needs --out"),
         (["--learn", "train", "--out", "x", "--grid", "learn.stepz=[1]"], "learn.stepz: the training script has no"),
         (["--learn", "train", "--out", "x", "--grid", "learn.seed=[1]"], "learn.seed: the training script has no"),
-        (["--learn", "train", "--out", "x", "--grid", "learn.steps=['a']"], "learn.steps=a: 60000 is of another type"),
+        (
+            ["--learn", "train", "--out", "x", "--grid", "learn.steps=['a']"],
+            "learn.steps=a: Input should be a valid integer",
+        ),
         (["--grid", "true.restitutoin=[0.5]"], "restitutoin"),
     ],
 )

@@ -5,8 +5,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_type_hints
 
+from pydantic import TypeAdapter, ValidationError
 from tyro.conf import OmitArgPrefixes, Positional
 
 from impact_envs.errors import InputError, choices
@@ -145,16 +146,16 @@ def _fit(args: Args | TuneArgs, values: dict[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: it has no such argument, or one of another type, or one that the sweep sets itself.
     """
-    plain = list_settings(vars(args))
+    plain, kinds = list_settings(vars(args)), get_type_hints(type(args))
     own = ("scenarios", "suite", "seed", "set", "out", "resume", "progress")
     fitting: dict[str, Any] = {}
     for name, value in values.items():
         if name not in plain or name in own:
             known = choices(name, [key for key in plain if key not in own])
             raise InputError(f"{LEARNED}{name}: the training script has no such value to sweep; {known}")
-        before = plain[name]
-        number = isinstance(before, float) and isinstance(value, int) and not isinstance(value, bool)
-        if before is not None and type(value) is not type(before) and not number:
-            raise InputError(f"{LEARNED}{name}={value}: {before} is of another type")
-        fitting[name] = tuple(value) if isinstance(value, list) else value
+        given = tuple(value) if isinstance(value, list) else value
+        try:
+            fitting[name] = TypeAdapter(kinds[name]).validate_python(given, strict=True)
+        except ValidationError as error:
+            raise InputError(f"{LEARNED}{name}={value}: {error.errors()[0]['msg']}") from None
     return fitting
