@@ -26,13 +26,13 @@ from rich.table import Table
 from tyro.conf import Positional
 
 from impact_envs import Scenario, load_scenario, vector_env
-from impact_envs.errors import InputError
 from planners import make_plan
 from planners.free_flyer.belief.options import EXPERT
 from planners.free_flyer.expert_batch import FreeFlyerExpertBatch
 from planners.free_flyer.oracle import PARTS, FreeFlyerOracleBatch
 from planners.plan import Plan
 from train.evaluation.case import EVALUATION_SEEDS
+from train.watch import exit_codes
 
 ALL, NONE = "all parts", "no part"
 OFFSET, DEADLINE = "true.center_of_mass_offset", "horizon_scale"
@@ -198,7 +198,5 @@ def print_table(rows: Sequence[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        sys.exit(f"error: {error}")

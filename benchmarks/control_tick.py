@@ -36,6 +36,7 @@ from planners.dual_arm.dense_qp import COMPILED, get_solver
 from planners.dual_arm.expert import DualArmExpert
 from planners.dual_arm.reference_spreading import ReferenceSpreading
 from planners.dual_arm.torque_qp import EQUALITIES, FREE, GRASP, QDD, TorqueQP, make_torque_qp
+from train.watch import exit_codes
 
 TOLERANCE, MOST_ITERATIONS = 1e-6, 20_000  # of OSQP, absolute and relative
 OURS = "ours"
@@ -355,7 +356,5 @@ def format_table(rows: list[dict[str, str]]) -> str:
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        sys.exit(f"error: {error}")

@@ -42,6 +42,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from impact_envs.errors import InputError
+from train.watch import exit_codes
 
 WARM_UP = 5  # steps before a method's first repeat
 COUNTED = 1024  # worlds whose impacts are counted
@@ -291,7 +292,5 @@ def print_table(title: str, rows: Sequence[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        sys.exit(f"error: {error}")

@@ -33,6 +33,7 @@ from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import load_scenario
 from planners import make_plan
+from train.watch import exit_codes
 
 LQR, MPC, SINGLE, PUBLISHED = "batch, LQR", "batch, MPC", "one world, MPC", "one world, published MPC by ipopt"
 # Least that is asked of our rates [env-steps/s] and of ratios; and most of the 99th percentile
@@ -225,7 +226,5 @@ def print_table(title: str, rows: Sequence[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        sys.exit(f"error: {error}")

@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from contextlib import closing
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import tyro
@@ -19,14 +20,17 @@ from rich.console import Console
 from rich.table import Table
 from scaling import read_cpu
 
+from impact_envs.errors import InputError, check_count, choices
 from train.evaluation.case import TUNING_SEEDS, make_case
 from train.evaluation.evaluate import make_plans
 from train.evaluation.player import Job
 from train.falsification.arena import Arena
 from train.falsification.search import SearchOptions, search_failures
+from train.watch import exit_codes
 
 # What is set of the expert, by the second part of a case's name.
-EXPERTS = {
+KINDS: dict[str, dict[str, Any]] = {
+    "zero": {},
     "lqr": {"expert.tracker": "lqr"},
     "mpc": {"expert.tracker": "mpc"},
     "mpc-kept": {"expert.tracker": "mpc", "expert.plan_anew": False},
@@ -38,7 +42,7 @@ class Args:
     """Measure how many episodes a minute a search plays."""
 
     cases: tuple[str, ...] = tuple(
-        f"{scenario}/{policy}" for scenario in ("throw_and_catch", "pong", "corridor") for policy in ("zero", *EXPERTS)
+        f"{scenario}/{policy}" for scenario in ("throw_and_catch", "pong", "corridor") for policy in KINDS
     )
     """SCENARIO/zero: no control; SCENARIO/lqr, SCENARIO/mpc: the expert with that tracker; mpc-kept: which does not
     plan anew in the background."""
@@ -64,7 +68,7 @@ def measure_search(name: str, args: Args) -> tuple[int, float, float, int]:
     scenario, _, kind = name.partition("/")
     policy = "zero" if kind == "zero" else "expert"
     episodes = args.zero_episodes if kind == "zero" else args.episodes
-    (case,) = make_plans([make_case(scenario, args.suite, EXPERTS.get(kind, {}))], [Job(0, policy, TUNING_SEEDS)])
+    (case,) = make_plans([make_case(scenario, args.suite, KINDS[kind])], [Job(0, policy, TUNING_SEEDS)])
     with closing(Arena(case, policy, args.workers)) as arena:
         arena.play(np.tile(arena.worlds.nominal, (2, 1)), np.arange(2))
     clock, start = time.perf_counter(), read_cpu()
@@ -74,7 +78,18 @@ def measure_search(name: str, args: Args) -> tuple[int, float, float, int]:
 
 
 def main(args: Args) -> None:
-    """Measure all cases and print a table."""
+    """Measure all cases and print a table.
+
+    Raises:
+        InputError: bad arguments.
+    """
+    for name in ("zero_episodes", "episodes", "workers"):
+        check_count(name, getattr(args, name))
+    for name in args.cases:
+        scenario, _, kind = name.partition("/")
+        if kind not in KINDS:
+            raise InputError(f"case '{name}': '{kind}' is unknown after SCENARIO/; {choices(kind, KINDS)}")
+        make_case(scenario, args.suite, KINDS[kind])  # says now what is wrong with it
     table = Table(title=f"Episodes a minute of a search in {args.suite}, {args.workers} lanes")
     for head in ("case", "episodes", "failures", "a minute of a core", *(["by a clock"] * args.wall)):
         table.add_column(head, justify="left" if head == "case" else "right")
@@ -86,4 +101,5 @@ def main(args: Args) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args))
+    with exit_codes():
+        main(tyro.cli(Args))

@@ -26,8 +26,8 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.vec_env import ImpactVecEnv
-from impact_envs.errors import InputError
 from impact_envs.scenario import load_scenario
+from train.watch import exit_codes
 
 GAMMAS = {"robustness": 1.0, "progress": 0.999}  # see impact_envs/reward.py
 TRAINING_SEED, OTHER_SEED = 0, 1_000_000  # of the first worlds, to train and to judge in; evaluation seeds are higher
@@ -164,8 +164,5 @@ def main(args: Args) -> int:
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         sys.exit(main(tyro.cli(Args)))
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)

@@ -8,7 +8,6 @@ All in one run, taking turns, one thread, CPU time, whole episodes, medians.
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -24,6 +23,7 @@ from impact_envs.errors import InputError
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from impact_envs.scenario import load_scenario
 from planners import make_expert, make_expert_batch
+from train.watch import exit_codes
 
 BATCH, ONE, DOORS = "batch", "vector_env of one world", "parallel_env, rollout"
 # Least that is asked, in seconds of the world per second of CPU.
@@ -129,7 +129,5 @@ def make_row(scenario: FloatingManipulatorScenario, name: str, runs: list[Run]) 
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        sys.exit(f"error: {error}")

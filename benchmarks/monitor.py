@@ -26,6 +26,7 @@ from impact_envs.errors import InputError
 from impact_envs.stl import Monitor, Trace, parse, robustness
 from impact_envs.stl.compiler import compile_formula
 from impact_envs.stl.stepper import start_monitor, update_monitor
+from train.watch import exit_codes
 
 PERIOD, LIMIT = 0.1, 3.0  # between samples [s]; of both coordinates [m]
 FORMULAS = {
@@ -149,4 +150,5 @@ def main(args: Args) -> list[dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args))
+    with exit_codes():
+        main(tyro.cli(Args))

@@ -23,11 +23,11 @@ from rich.console import Console
 from rich.table import Table
 
 from impact_envs import load_scenario
-from impact_envs.errors import InputError
 from planners import make_plan
 from planners.free_flyer.oracle import PARTS
 from planners.plan import Plan
 from train.evaluation.case import EVALUATION_SEEDS
+from train.watch import exit_codes
 
 POLICIES = ("expert", "oracle")
 
@@ -108,7 +108,5 @@ def print_table(rows: list[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        sys.exit(f"error: {error}")

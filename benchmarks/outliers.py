@@ -29,6 +29,7 @@ from impact_envs.env import ImpactEnv
 from impact_envs.errors import InputError
 from impact_envs.observation import Layout
 from planners import has_planner, make_expert, make_expert_batch, make_plan
+from train.watch import exit_codes
 
 FIRST_SEED = 1_500_000
 # Fields of observations: places and angles, their rates, directions (cos, sin), by the last word of an element.
@@ -294,7 +295,5 @@ def play_scenario(args: Args, name: str, suite: str, rows: list[dict[str, Any]])
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        sys.exit(f"error: {error}")

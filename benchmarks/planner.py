@@ -34,6 +34,7 @@ from planners import make_plan
 from planners.errors import PlanningError
 from planners.free_flyer.published.encoding import EncodingOptions, make_bezier_plan
 from planners.solvers import SOLVERS, installed_solvers
+from train.watch import exit_codes
 
 SCENARIOS = ("throw_and_catch", "corridor", "pong", "pingpong", "obstacle_avoidance")
 MIQP_GAP = 1e-4  # Gurobi's default; the published code sets no other
@@ -295,7 +296,5 @@ def format_table(rows: Sequence[dict[str, str]]) -> str:
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        sys.exit(f"error: {error}")

@@ -8,7 +8,6 @@ nothing else.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,6 +32,7 @@ from train.evaluation.evaluate import evaluate_cases
 from train.evaluation.journal import write_json
 from train.evaluation.origins import read_origins
 from train.ground import fill_args, read_cases
+from train.watch import exit_codes
 
 ROWS = (
     "pong:hard", "corridor:hard", "obstacle_avoidance:hard", "exchange:hard", "pingpong:hard", "pingpong:short",
@@ -215,11 +215,5 @@ def format_interval(row: dict[str, Any], name: str, digits: int, unit: float = 1
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        print(error, file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        print("interrupted; the same command goes on", file=sys.stderr)
-        sys.exit(130)

@@ -24,12 +24,12 @@ from rich.console import Console
 from rich.table import Table
 
 from impact_envs import load_scenario, parallel_env, vector_env
-from impact_envs.errors import InputError
 from planners import make_expert_batch, make_plan
 from planners.free_flyer.belief.plan_table import read_tube
 from planners.plan import Plan
 from train.evaluation.case import EVALUATION_SEEDS
 from train.free_flyer.plan_metrics import ON_EDGE
+from train.watch import exit_codes
 
 SCENARIOS = ("throw_and_catch", "corridor", "pong", "pingpong", "obstacle_avoidance", "relay")
 Way = Literal["responses", "no responses", "paper_expert", "most robust"]
@@ -167,7 +167,5 @@ def print_rows(rows: list[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        sys.exit(f"error: {error}")

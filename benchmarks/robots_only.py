@@ -28,6 +28,7 @@ from planners.budget import Clock, use_clock
 from planners.errors import Infeasible, PlanningError
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
 from planners.free_flyer.nominal.task import PlanOptions
+from train.watch import exit_codes
 
 Box = tuple[float, float, float, float]  # x_min, x_max, y_min, y_max [m]
 RADIUS = 0.02  # of what stands for a point, and of what rests in a corner [m]
@@ -259,6 +260,8 @@ def main(args: Args) -> list[Row]:
     for name in args.names:
         if name not in TASKS:
             raise InputError(f"scenario '{name}' is unknown; {choices(name, TASKS)}")
+    if not args.time_limit > 0.0:
+        raise InputError(f"time_limit = {args.time_limit}: a number above 0 is needed [s]")
     rows = []
     try:
         for name in args.names or tuple(TASKS):
@@ -275,8 +278,5 @@ def main(args: Args) -> list[Row]:
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)

@@ -38,6 +38,7 @@ from train.evaluation.metrics import summarize
 from train.evaluation.player import Job
 from train.evaluation.shard import ShardSizes
 from train.evaluation.statistics import compare
+from train.watch import exit_codes
 
 CORES = (2, 64, 1000)
 WORK = (
@@ -231,4 +232,5 @@ def main(args: Args) -> None:
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-    main(tyro.cli(Args))
+    with exit_codes():
+        main(tyro.cli(Args))

@@ -18,6 +18,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from train.watch import exit_codes
+
 IMPACT = ("-m", "train.cli.main")
 PROCESSES = {
     "python -c pass": ("-c", "pass"),
@@ -69,4 +71,5 @@ def main(args: Args) -> dict[str, tuple[float, float]]:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args))
+    with exit_codes():
+        main(tyro.cli(Args))

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
@@ -29,6 +28,7 @@ from impact_envs.scenario import build_scenario
 from impact_envs.stream import check_seed
 from planners import make_expert, make_expert_batch
 from planners.plan import Plan
+from train.watch import exit_codes
 
 SUITES = ("nominal", "all")
 FIRST_SEED = 1_000_000
@@ -219,8 +219,5 @@ def main(args: Args) -> list[Flight]:
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)

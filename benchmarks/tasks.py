@@ -11,7 +11,6 @@ Ctrl-C prints what has been planned so far.
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -33,6 +32,7 @@ from planners.errors import Infeasible, PlanningError
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
 from planners.free_flyer.nominal.task import PlanOptions
 from planners.free_flyer.reserves import Reserves
+from train.watch import exit_codes
 
 KINDS = ("reach", "hold", "visit", "order", "until", "nested", "either")
 PLANNED, PROVEN, UNDECIDED = "planned", "proven infeasible", "undecided"
@@ -317,8 +317,5 @@ def main(args: Args) -> None:
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)

@@ -29,6 +29,7 @@ from impact_envs.errors import InputError
 from impact_envs.scenario import Scenario, load_scenario
 from planners import has_planner, list_options, make_expert, make_plan
 from planners.plan import Plan
+from train.watch import exit_codes
 
 SINGLE, BARE = "ResidualEnv, one world", "bare compiled loop, 1 thread"
 
@@ -228,8 +229,5 @@ def make_rows(runs: list[Run]) -> list[dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    try:
+    with exit_codes():
         main(tyro.cli(Args))
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)

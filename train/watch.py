@@ -53,15 +53,14 @@ def show_progress(total: int, shown: bool, title: str = "training") -> Iterator[
         yield Watch(bar, bar.add_task("", total=total))
 
 
-def run_script(main: Callable[[A], dict[str, Any]], args: type[A]) -> None:
-    """Run a training script from the command line and exit as `impact` does.
+@contextmanager
+def exit_codes() -> Iterator[None]:
+    """End the program as `impact` does where what is done within fails.
 
-    Args:
-        main: of the script; its result is printed.
-        args: class of its arguments.
+    One line, and code 2 for bad input, 1 without a plan or for a training that diverged, 130 for Ctrl-C.
     """
     try:
-        print(main(tyro.cli(args)))
+        yield
     except InputError as error:
         print(error, file=sys.stderr)
         sys.exit(2)
@@ -71,3 +70,14 @@ def run_script(main: Callable[[A], dict[str, Any]], args: type[A]) -> None:
     except KeyboardInterrupt:
         print("interrupted; what was finished is kept", file=sys.stderr)
         sys.exit(130)
+
+
+def run_script(main: Callable[[A], dict[str, Any]], args: type[A]) -> None:
+    """Run a training script from the command line and exit as `impact` does.
+
+    Args:
+        main: of the script; its result is printed.
+        args: class of its arguments.
+    """
+    with exit_codes():
+        print(main(tyro.cli(args)))
