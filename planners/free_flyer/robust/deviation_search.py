@@ -38,10 +38,10 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
     """Return the greatest deviation over numbers of impacts; more impacts count only if they bear a fifth more.
 
     A plan for a deviation bears every smaller one, so one deviation that is proven infeasible bounds all above it.
-    Numbers of impacts are compared roughly; once one has a plan, the others share a quarter of the time limit and get
-    few nodes each. Then the best is bisected. The search ends early where a fifth more would exceed what no plan with
-    any number of impacts can bear: its last leg alone spreads the object by the gap times the deviation. On a constant
-    grid the deviation is a variable of one mixed-integer problem.
+    Numbers of impacts are compared roughly; once one has a plan, the others share a quarter of the time limit. Then the
+    best is bisected. The search ends early where a fifth more would exceed what no plan with any number of impacts can
+    bear: its last leg alone spreads the object by the gap times the deviation. On a constant grid the deviation is a
+    variable of one mixed-integer problem.
 
     Args:
         task: what is asked.
@@ -69,15 +69,12 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
                 break
             left = (0.25 if best else 1.0) * time_limit - (read_clock() - start)
             try:
-                if left <= 0.0:
-                    raise SolverFailed(f"plan of {task.scenario.name}", "time limit reached", "raise the time limit")
-                nodes = options.more_nodes if best else None
-                delta, bounds[size] = search_deviation(task, size, wanted, ceiling, options.rough_gap, left, nodes)
+                delta, bounds[size] = search_deviation(task, size, wanted, ceiling, options.rough_gap, left)
             except SolverFailed:
                 if best is None:
                     raise
                 untried = ceiling
-                continue
+                break
             if delta > wanted:
                 best = DeviationOptimum(size, delta, bounds[size])
         if best is not None:
@@ -92,13 +89,7 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
 
 
 def search_deviation(
-    task: RobustTask,
-    size: GridSize,
-    known: float,
-    high: float,
-    gap: float,
-    time_limit: float,
-    nodes: int | None = None,
+    task: RobustTask, size: GridSize, known: float, high: float, gap: float, time_limit: float
 ) -> tuple[float, float]:
     """Return the greatest deviation of one size of grid and its proven bound, by bisection.
 
@@ -113,13 +104,12 @@ def search_deviation(
         high: known upper bound [m/s].
         gap: to which the deviation is proven, relative.
         time_limit: wall time [s].
-        nodes: of branch and bound, within which something has to be found; None: any number.
 
     Returns:
         The deviation, which is `known` if the size bears no more, and its bound [m/s].
 
     Raises:
-        SolverFailed: out of time or nodes before anything was found.
+        SolverFailed: out of time before anything was found.
     """
     start = read_clock()
     low, near = known, True
@@ -128,8 +118,7 @@ def search_deviation(
     while True:
         try:
             grid, _ = task.build(size, target)
-            left = time_limit - (read_clock() - start)
-            x = solve(grid.model, left, solver=task.solver, nodes=nodes if low == known else None).x
+            x = solve(grid.model, time_limit - (read_clock() - start), solver=task.solver).x
         except Infeasible:
             high = target
         except SolverFailed:

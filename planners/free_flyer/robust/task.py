@@ -25,8 +25,6 @@ class DeviationOptions:
         gap: to which it is proven, relative.
         rough_gap: the same while numbers of impacts are compared.
         worth: by how much more impacts have to raise it, relative.
-        more_nodes: of branch and bound, within which a greater number of impacts has to prove worth it; the shipped
-            scenarios need 300 at most where it does, and 430 for a proof that it does not.
         smallest: deviation below which a task counts as bearing none [m/s].
         families: pieces per leg, and whether areas may be reached between impacts; in the order in which they are
             tried.
@@ -35,7 +33,6 @@ class DeviationOptions:
     gap: float = 2e-3
     rough_gap: float = 0.1
     worth: float = 0.2
-    more_nodes: int = 500
     smallest: float = 1e-4
     families: tuple[tuple[int, bool], ...] = ((1, False), (2, True))
 

@@ -46,6 +46,14 @@ def test_plan_bears_a_deviation_below_its_bound() -> None:
     assert plan.robustness > 0.0
 
 
+@pytest.mark.slow
+def test_the_bound_is_that_of_every_number_of_impacts() -> None:
+    """A search whose greater numbers of impacts are cut knows no more than the ceiling, 0.05 m/s in relay."""
+    plan = make_plan("relay", "impact_uncertainty", time_limit=300.0)
+    assert plan.deviation == pytest.approx(0.01434, abs=1e-4)
+    assert plan.deviation_bound == pytest.approx(0.02005, abs=1e-4)
+
+
 def test_boxes_grow_by_the_deviation_and_hold_the_nominal_motion() -> None:
     plan = _plan()
     tube, curve = plan.tubes["pop"], plan.objects["pop"]
