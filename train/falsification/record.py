@@ -19,11 +19,11 @@ from train.evaluation.player import make_policy
 from train.falsification.counterexample import Counterexample
 from train.pictures.file import save_figure
 from train.pictures.film import sample_curves
+from train.report.failures import FOLDER
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FOLDER = "failures"  # in that of an evaluation
 # A page holds some films: what one takes but for its end [s], frames per second, how long the end stays [s], and pixels
 # along each axis that become one.
 FILM_SECONDS, FPS, HOLD, SHRINK = 6.0, 10.0, 1.5, 2

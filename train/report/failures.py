@@ -14,7 +14,7 @@ from impact_envs.errors import InputError
 from train.evaluation.journal import read_record
 from train.report.tables import write_table
 
-FOLDER = "failures"
+FOLDER = "failures"  # in that of an evaluation
 TYPES = {".png": "image/png", ".mp4": "video/mp4"}
 MOST_NUMBERS = 4  # that are listed with what they explain
 
