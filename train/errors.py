@@ -9,3 +9,7 @@ class WorkerLost(RuntimeError):
 
 class Diverged(RuntimeError):
     """Learning whose weights, or what they predict, are no longer finite."""
+
+
+class NothingFound(RuntimeError):
+    """A search whose trials all failed."""

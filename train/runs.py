@@ -24,7 +24,9 @@ import numpy as np
 
 from impact_envs.errors import InputError
 from impact_envs.scenario import load_scenario
+from planners.errors import PlanningError
 from train.arguments import Args, TuneArgs
+from train.errors import Diverged
 from train.evaluation.journal import digest, read_versions
 from train.launch.folder import Folder, LocalFolder, is_uri, open_folder, write_uri
 from train.launch.launcher import Launcher
@@ -63,16 +65,19 @@ def name_folder(out: str | Path, *words: str) -> str:
     return "/".join((whole.rstrip("/"), *words))
 
 
-def launch_runs(launcher: Launcher, runs: Sequence[TrainingRun], progress: bool = True) -> list[dict[str, Any]]:
+def launch_runs(
+    launcher: Launcher, runs: Sequence[TrainingRun], progress: bool = True, keep_failures: bool = False
+) -> list[dict[str, Any]]:
     """Do runs of training scripts.
 
     Args:
         launcher: who does them.
         runs: to be done.
         progress: show a bar of the runs on standard error.
+        keep_failures: go on where a run diverges or its expert finds no plan.
 
     Returns:
-        What each script returned, in the order of the runs.
+        What each script returned, in the order of the runs; of one that failed, where that is kept, a line ``failure``.
 
     Raises:
         InputError: bad arguments, or a folder holds a run of others.
@@ -88,7 +93,7 @@ def launch_runs(launcher: Launcher, runs: Sequence[TrainingRun], progress: bool 
     asked = [replace(run, args=_quieten(run.args, many)) for run in runs]
     names = sorted({name for run in runs for name in run.args.scenarios})
     origin = describe_origin(_describe_facts(names), any(Path(name).is_file() for name in names))
-    start = partial(_start, names, origin if launcher.remote else None)
+    start = partial(_start, names, origin if launcher.remote else None, keep_failures)
     found: dict[str, dict[str, Any]] = {}
     with (
         show_progress(len(runs), progress and len(runs) > 1, "runs") as watch,
@@ -111,11 +116,20 @@ def _describe_facts(scenarios: Sequence[str]) -> dict[str, str]:
 
 
 def _start(
-    scenarios: Sequence[str], origin: Origin | None
+    scenarios: Sequence[str], origin: Origin | None, keep_failures: bool
 ) -> Callable[[TrainingRun], Iterator[tuple[str, dict[str, Any]]]]:
     if origin is not None:
         check_origin(origin, lambda: _describe_facts(scenarios))
-    return lambda run: iter([(run.out, do_run(run))])
+    do = _do_or_say if keep_failures else do_run
+    return lambda run: iter([(run.out, do(run))])
+
+
+def _do_or_say(run: TrainingRun) -> dict[str, Any]:
+    """Do a run; one that fails though its input is right has a line in place of a result."""
+    try:
+        return do_run(run)
+    except (Diverged, PlanningError) as error:
+        return {"failure": str(error), "out": run.out}
 
 
 def do_run(run: TrainingRun) -> dict[str, Any]:
@@ -136,7 +150,7 @@ def do_run(run: TrainingRun) -> dict[str, Any]:
     if begun is None:
         if folder.read(DESCRIPTION) is not None:
             raise InputError(f"{folder}: holds a policy of another command; choose another out")
-        _check(run)
+        check_run(run)
         _write_result(folder, args, None)
     if isinstance(folder, LocalFolder) and run.script == "train":
         result = _call_script(run, folder.path, None)
@@ -148,8 +162,12 @@ def do_run(run: TrainingRun) -> dict[str, Any]:
     return result
 
 
-def _check(run: TrainingRun) -> None:
-    """Raise InputError unless a run's arguments make sense, before anything is written."""
+def check_run(run: TrainingRun) -> None:
+    """Raise unless a run's arguments make sense, before anything is written.
+
+    Raises:
+        InputError: one line naming the argument, its value and the limit.
+    """
     # Imported here: that a run has ended is found out without a learner.
     if isinstance(run.args, TuneArgs):
         from train.tune import check_args as check_tuning
@@ -158,7 +176,8 @@ def _check(run: TrainingRun) -> None:
     from train.ground import fill_args, read_cases
     from train.residual import check_args
 
-    return check_args(fill_args(run.args, read_cases(run.args)))
+    # In its own folder, not in the script's usual one, where there may be another run.
+    return check_args(fill_args(replace(run.args, out=Path(run.out)), read_cases(run.args)))
 
 
 def _run_elsewhere(run: TrainingRun, folder: Folder, here: Path) -> dict[str, Any]:

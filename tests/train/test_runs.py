@@ -15,6 +15,7 @@ from impact_envs import InputError
 from train.arguments import Args, TuneArgs
 from train.cli.main import main
 from train.cli.sweep import Command, list_points
+from train.errors import Diverged
 from train.launch.local import LocalLauncher
 from train.runs import TrainingRun, launch_runs, name_folder
 
@@ -97,6 +98,31 @@ def test_arguments_that_make_no_sense_leave_nothing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="suite 'hrad'"):
         launch_runs(LocalLauncher(), [run], progress=False)
     assert not list(tmp_path.iterdir())
+
+
+def test_another_run_in_the_scripts_own_folder_is_no_hindrance(
+    calls: list[Args], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls.append(ARGS)
+    monkeypatch.chdir(tmp_path)
+    (ARGS.out / "checkpoints" / "7").mkdir(parents=True)
+    launch_runs(LocalLauncher(), [TrainingRun("train", ARGS, name_folder("mine"))], progress=False)
+    assert calls[-1].out == tmp_path / "mine"
+
+
+def test_a_run_that_diverges_ends_all_or_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def learn(args: Args, saved: Any = None) -> dict[str, Any]:
+        if args.seed == 0:
+            raise Diverged("no longer finite")
+        return {"eval": {"low": 0.5}}
+
+    monkeypatch.setattr(train.residual, "main", learn)
+    runs = [TrainingRun("train", replace(ARGS, seed=seed), name_folder(tmp_path, str(seed))) for seed in (0, 1)]
+    with pytest.raises(Diverged):
+        launch_runs(LocalLauncher(), runs, progress=False)
+    found = launch_runs(LocalLauncher(), runs, progress=False, keep_failures=True)
+    assert found[0] == {"failure": "no longer finite", "out": str(tmp_path / "0")}
+    assert found[1]["eval"] == {"low": 0.5}
 
 
 def test_a_grid_has_every_combination() -> None:

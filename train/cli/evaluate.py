@@ -11,9 +11,9 @@ from typing import Any, ClassVar, Literal
 from tyro.conf import OmitArgPrefixes, Positional
 
 from impact_envs.errors import InputError
-from train.cli.plan import check_plan_options, load_plan
 from train.cli.progress import say_written
 from train.evaluation.case import EVALUATION_SEEDS, make_cases
+from train.given_plan import check_plan_options, load_plans
 from train.launch.choice import Launch, use_launcher
 from train.settings import parse_settings
 
@@ -36,8 +36,9 @@ class Command:
     """Mismatch suites."""
     set: tuple[str, ...] = ()
     """Values to change, for example true.restitution=0.5 expert.NAME=VALUE."""
-    plan: Path | None = None
-    """Let the experts follow this plan: a JSON file, or a folder of published CSV files."""
+    plan: tuple[str, ...] = ()
+    """Let the experts follow this plan: a JSON file, or a folder of published CSV files. Of several scenarios:
+    SCENARIO=PATH each; those that are not named are planned."""
     rename: tuple[str, ...] = ()
     """Names of bodies in a published plan, each PLAN=SCENARIO."""
     force: bool = False
@@ -58,10 +59,10 @@ class Command:
         settings = parse_settings(self.set)
         cases = make_cases(self.scenarios, self.suite, settings)
         check_plan_options(self.plan, self.rename, self.force)
-        if self.plan is not None:
+        if self.plan:
             self._check_plan()
-            plan = load_plan(self.plan, cases[0].scenario, self.rename).admit(self.force)
-            cases = [replace(case, plan=plan) for case in cases]
+            plans = load_plans(cases, self.plan, self.rename, self.force)
+            cases = [replace(case, plan=plans.get(case.scenario.name)) for case in cases]
         elif self.objective is not None:
             cases = [replace(case, objective=self.objective) for case in cases]
         with use_launcher(self.launch) as launcher:
@@ -83,11 +84,10 @@ class Command:
 
     def _check_plan(self) -> None:
         if self.objective is not None:
-            raise InputError(f"--plan {self.plan}: has its objective; leave out --objective {self.objective}")
-        if len(self.scenarios) > 1:
-            raise InputError(f"--plan {self.plan}: is for one scenario, got {', '.join(self.scenarios)}")
+            given = " ".join(self.plan)
+            raise InputError(f"--plan {given}: has its objective; leave out --objective {self.objective}")
 
     def _describe_plan(self) -> dict[str, Any]:
         """Return what was asked for of the plans."""
-        asked = {"plan": str(self.plan) if self.plan else None, "objective": self.objective}
+        asked = {"plan": " ".join(self.plan), "objective": self.objective}
         return {key: value for key, value in asked.items() if value}

@@ -28,7 +28,7 @@ from impact_envs.errors import InputError, choices
 from impact_envs.interface.extras import describe_missing
 from planners.errors import PlanningError
 from train.cli.progress import show_planning
-from train.errors import Diverged, WorkerLost
+from train.errors import Diverged, NothingFound, WorkerLost
 
 COMMANDS = (
     "list", "plan", "certify", "run", "play", "train", "tune", "dataset", "evaluate", "sweep", "compare", "break",
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"impact: {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
         return 2
-    except (PlanningError, WorkerLost, Diverged) as error:
+    except (PlanningError, WorkerLost, Diverged, NothingFound) as error:
         print(f"impact: {error}", file=sys.stderr)
         return 1
     except ModuleNotFoundError as error:

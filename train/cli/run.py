@@ -13,9 +13,9 @@ from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from impact_envs.interface.episode_file import check_episode_path
 from impact_envs.scenario import Scenario
-from train.cli.plan import check_plan_options, load_plan
 from train.cli.progress import say_written
 from train.evaluation.case import EVALUATION_SEEDS, check_settings, has_expert, make_case
+from train.given_plan import check_plan_options, load_plan
 from train.pictures.file import check_picture_path
 from train.pictures.film import find_followed, sample_curves
 from train.settings import parse_settings

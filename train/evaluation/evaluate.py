@@ -138,6 +138,7 @@ def evaluate_cases(
     batched: bool = False,
     launcher: Launcher | None = None,
     sizes: ShardSizes | None = None,
+    plans: dict[str, Plan] | None = None,
 ) -> EvaluationResult:
     """Play every policy on the same seeds of the same cases; see evaluate.
 
@@ -154,6 +155,7 @@ def evaluate_cases(
             effort, a domain's figures and replays; see batch_player. ``workers`` are then threads.
         launcher: who plays, such as a Ray cluster; default: this machine, by ``workers``.
         sizes: of the shards that a launcher is given, or that are kept behind a URI.
+        plans: made by other calls for the same believed scenarios, see make_plans; those made here are added.
 
     Raises:
         InputError: one line naming what is unknown or does not fit, or that another process writes into ``out``.
@@ -184,7 +186,7 @@ def evaluate_cases(
         # In a folder, not before there is an episode to describe: a policy that fails at once leaves nothing behind.
         if journal and (shared or not missing):
             journal.write_manifest(request)
-        cases = make_plans(cases, missing)
+        cases = make_plans(cases, missing, plans)
         bar = (TextColumn("evaluating"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         # Closed, not left to the garbage collector: an interruption must reach the workers at once.
         with (
@@ -331,10 +333,19 @@ def _key(cases: Sequence[Case], job: Job) -> tuple[str, str, str, int]:
     return case.scenario.name, case.suite, job.policy, job.seed
 
 
-def make_plans(cases: Sequence[Case], jobs: Iterable[Job]) -> list[Case]:
-    """Plan once per believed scenario, and not in the workers: a plan may depend on how busy they are."""
+def make_plans(cases: Sequence[Case], jobs: Iterable[Job], plans: dict[str, Plan] | None = None) -> list[Case]:
+    """Plan once per believed scenario, and not in the workers: a plan may depend on how busy they are.
+
+    Args:
+        cases: to be planned.
+        jobs: for which plans are needed.
+        plans: that are there, by what they are for; new ones are added.
+
+    Raises:
+        PlanningError: there is no plan.
+    """
     needed = {job.case for job in jobs if has_expert(job.policy) and has_planner(cases[job.case].scenario)}
-    plans: dict[str, Plan] = {}
+    plans = {} if plans is None else plans
     planned = []
     for place, case in enumerate(cases):
         believed = case.scenario.as_believed()

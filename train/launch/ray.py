@@ -7,6 +7,7 @@ import os
 import re
 import signal
 import socket
+import sys
 import threading
 import time
 import uuid
@@ -105,6 +106,17 @@ def _connect(address: str | None, workers: int | None) -> None:
         where = f"the Ray cluster at '{address}'" if address else "a Ray cluster"
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         raise InputError(f"{where} cannot be reached: {reason}; start one by `ray start --head`") from None
+    if _is_head():
+        print(
+            "no Ray cluster is named or runs here: started one on this machine, which ends with the command; "
+            "--address HOST:PORT or RAY_ADDRESS names another",
+            file=sys.stderr,
+        )
+
+
+def _is_head() -> bool:
+    """Return whether this process has started the cluster that it is connected to; Ray has no public word for it."""
+    return bool(getattr(getattr(ray._private.worker, "_global_node", None), "head", False))
 
 
 def _check_door(address: str) -> None:

@@ -1,0 +1,1 @@
+"""Searching for good values: Optuna proposes points of a space, trials score them on tuning seeds."""
