@@ -22,7 +22,9 @@ COMMANDS = ("impact ", "python ", "make ", "pip ")
 # Subcommands that wait for a person; how they are read is checked, and tests of their own run them.
 ATTENDED = ("play",)
 # Options whose value says how long a run takes, and the value that shows the same in seconds.
-SHORTER = {"--episodes": "1", "--steps": "64", "--worlds": "64", "--generations": "1"}
+SHORTER = {"--episodes": "1", "--steps": "64", "--worlds": "64", "--generations": "1", "--trials": "2"}
+# Options that need a package which developers may lack.
+NEEDS = {"--sample": "optuna"}
 # By command: the one of them whose default takes minutes.
 MISSING = {"evaluate": "--episodes", "demo": "--episodes", "train": "--steps", "tune": "--generations"}
 SMALLER = {"4096": "64", "num_envs=256": "num_envs=16"}
@@ -108,7 +110,9 @@ def run_page(page: Path) -> None:
             tomllib.loads(block.text)
         for command in read_commands(block):
             program, *words = split_command(command)
-            if program == "impact" and words[0] not in ATTENDED:
+            if lacking := [NEEDS[word] for word in words if word in NEEDS and find_spec(NEEDS[word]) is None]:
+                print(f"left out, for want of {', '.join(lacking)}: {command}", flush=True)
+            elif program == "impact" and words[0] not in ATTENDED:
                 print(f"$ {command}", flush=True)
                 code = main(shorten(words))
                 assert code == 0, f"{command}: exit code {code}"

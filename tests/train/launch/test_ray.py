@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,11 +20,13 @@ import pytest
 from impact_envs import InputError
 from tests.train.processes import ROOT, count_rows, find_children, is_alive, start, wait_until
 from train.arguments import Args
+from train.cli.sweep import Command
 from train.evaluation.case import TUNING_SEEDS, make_cases
 from train.evaluation.evaluate import evaluate_cases
 from train.launch.choice import Launch, use_launcher
 from train.launch.local import LocalLauncher
 from train.runs import TrainingRun, launch_runs, name_folder
+from train.search.search import Sampling
 
 pytestmark = [
     pytest.mark.skipif(find_spec("ray") is None, reason="the extra [ray] is not installed"),
@@ -141,6 +146,39 @@ def test_where_no_cluster_is_one_line_says_so(address: str) -> None:
     with pytest.raises(InputError, match=said) as caught, use_launcher(Launch("ray", address)):
         pass
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_a_cluster_that_is_started_here_is_told_and_one_that_is_joined_is_not(cluster: Any) -> None:
+    command = [sys.executable, "-m", "train.cli.main", "evaluate", "throw_and_catch", "--policies", "zero"]
+    command += ["--episodes", "1", "--batched", "--launcher", "ray"]
+    environment = {name: value for name, value in os.environ.items() if name != "RAY_ADDRESS"}
+    for more, told in ((["--workers", "1"], 1), (["--address", cluster.address], 0)):
+        with tempfile.TemporaryDirectory(dir="/tmp") as folder:  # no cluster is known there; names of sockets are short
+            done = subprocess.run(
+                [*command, *more],
+                env=environment | {"RAY_TMPDIR": folder},
+                cwd=ROOT,
+                capture_output=True,
+                text=True,
+                timeout=300,
+            )
+        assert done.returncode == 0, done.stderr
+        lines = [line for line in done.stderr.splitlines() if "no Ray cluster is named or runs here" in line]
+        assert len(lines) == told, done.stderr
+        assert all("--address" in line and "RAY_ADDRESS" in line for line in lines)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("optuna") is None, reason="the extra [sweep] is not installed")
+def test_a_search_comes_to_the_same_trials_as_here(cluster: Any, tmp_path: Path) -> None:
+    sampling = Sampling(("expert.tracker=['lqr','mpc']", "true.restitution=0.3,0.9"), trials=6)
+    command = Command(("throw_and_catch",), ("hard",), policies=("expert",), episodes=20, sampling=sampling)
+    here, there = tmp_path / "here", tmp_path / "there"
+    alone = replace(command, out=str(here)).run()
+    assert replace(command, out=str(there), launch=Launch("ray", cluster.address)).run() == alone
+    for name in ("search.json", "trials.csv", "rows.parquet", "report/rows.parquet"):
+        assert (there / name).read_bytes() == (here / name).read_bytes()
 
 
 @pytest.mark.slow
