@@ -196,7 +196,9 @@ def check_batched(policy: str) -> None:
         InputError: it does.
     """
     if policy == "random" or is_own(policy):
-        raise InputError(f"policy '{policy}' plays one world at a time: leave it out, or --batched")
+        raise InputError(
+            f"policy '{policy}' plays one world at a time: leave it out, or leave out --batched (sweep: add --single)"
+        )
 
 
 def play_batched(cases: Sequence[Case], jobs: Sequence[Job], threads: int = 1) -> Generator[Outcome]:

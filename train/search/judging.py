@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-import pandas as pd
+import numpy as np
 
 from impact_envs.errors import InputError, choices
 from planners.errors import PlanningError
 from planners.plan import Plan
-from train.evaluation.case import EVALUATION_SEEDS, REPORT_SEEDS, TUNING_SEEDS, Case
+from train.evaluation.batch_player import check_batched
+from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS, Case
 from train.evaluation.evaluate import EvaluationResult, check_request, evaluate_cases, make_plans
-from train.evaluation.metrics import summarize
+from train.evaluation.own_policy import read_policies
 from train.evaluation.player import Job
 from train.launch.launcher import Launcher
 from train.search.space import Point
@@ -63,8 +63,11 @@ class Judging:
                 f"--seed {self.seed}, --episodes {self.episodes}: a search scores on tuning seeds, {TUNING_SEEDS} to "
                 f"{REPORT_SEEDS - 1}, never on those that judge what it found"
             )
+        labels = read_policies(self.policies)
+        for label in labels if not self.single else ():
+            check_batched(label)
         for point in points:
-            check_request(self.make_cases(point), self.policies, self.episodes, self.seed, self.workers)
+            check_request(self.make_cases(point), labels, self.episodes, self.seed, self.workers)
 
     def score(self, points: Sequence[Point]) -> list[float | str]:
         """Return each point's score, or a line that says why its expert has no plan."""
@@ -73,9 +76,14 @@ class Judging:
         played = [case for some, failure in zip(cases, failures, strict=True) if failure is None for case in some]
         if not played:
             return [str(failure) for failure in failures]
-        rows = self._evaluate(played, self.policies, self.seed, self.out).episodes
-        rows = rows[rows["policy"] == self.policies[0]]
-        return [failure or self._compute(rows, some) for some, failure in zip(cases, failures, strict=True)]
+        rows = self._evaluate(played, self.policies, self.seed, self.out).rows
+        scores = {
+            (row["scenario"], row["suite"]): row[self.maximise] for row in rows if row["policy"] == self.policies[0]
+        }
+        return [
+            failure or float(np.mean([scores[case.scenario.name, case.suite] for case in some]))
+            for some, failure in zip(cases, failures, strict=True)
+        ]
 
     def finish(self, points: Sequence[Point]) -> None:
         """Write the tables of the whole evaluation: rounds wrote their own."""
@@ -85,10 +93,9 @@ class Judging:
 
     def report(self, best: Point) -> list[dict[str, Any]]:
         """Return what the first policy comes to at the best point, and without it, on seeds nothing was chosen on."""
-        episodes = min(self.episodes, EVALUATION_SEEDS - REPORT_SEEDS)
-        plain, chosen = self.make_cases(()), self.make_cases(best)
-        out = f"{self.out.rstrip('/')}/report"
-        found = self._evaluate([*plain, *chosen], self.policies[:1], REPORT_SEEDS, out, episodes).rows
+        plain = self.make_cases(())
+        cases = [*(plain if self._plan(plain) is None else ()), *self.make_cases(best)]
+        found = self._evaluate(cases, self.policies[:1], REPORT_SEEDS, f"{self.out.rstrip('/')}/report").rows
         shown = ("scenario", "suite", "policy", "episodes", "success_rate", "robustness_median", self.maximise)
         return [{name: row[name] for name in dict.fromkeys(shown)} for row in found]
 
@@ -101,21 +108,14 @@ class Judging:
             return str(error)
         return None
 
-    def _compute(self, rows: pd.DataFrame, cases: Sequence[Case]) -> float:
-        here = rows[rows["suite"].isin({case.suite for case in cases})]
-        found = summarize(here)
-        return float(sum(row[self.maximise] for row in found) / len(found))
-
-    def _evaluate(
-        self, cases: Sequence[Case], policies: Sequence[str], seed: int, out: str, episodes: int | None = None
-    ) -> EvaluationResult:
+    def _evaluate(self, cases: Sequence[Case], policies: Sequence[str], seed: int, out: str) -> EvaluationResult:
         return evaluate_cases(
             cases,
             policies,
-            episodes or self.episodes,
+            self.episodes,
             seed,
             self.workers,
-            Path(out) if "://" not in out else out,
+            out,
             batched=not self.single,
             launcher=self.launcher if self.launcher.remote else None,
             plans=self.plans,

@@ -103,6 +103,7 @@ def test_a_search_that_was_killed_goes_on_to_the_same_trials(
         (["--sample", "true.drift=0.0,0.1", "--out", "x", "--seed", "2000000"], "never on those that judge"),
         (["--sample", "true.drift=0.0,0.1", "--out", "x", "--seed", "1499900"], "1000000 to 1499999"),
         (["--sample", "true.drift=0.0,0.1", "--out", "x", "--maximise", "low"], "--maximise low: is unknown"),
+        (["--sample", "true.drift=0.0,0.1", "--out", "x", "--policies", "random"], "sweep: add --single"),
         (["--learn", "train", "--sample", "learn.worst=0.5,2.0", "--out", "x", "--maximise", "x"], "--maximise x: is"),
         (["--learn", "train", "--sample", "learn.learning_rate=0.1,9.0", "--out", "x"], "learning_rate 9: choices"),
         (
