@@ -11,8 +11,8 @@ from impact_envs.compiled import announce, bind
 from impact_envs.domain import load_attribute
 from impact_envs.errors import InputError
 from impact_envs.flight import make_flight, make_no_flight
-from impact_envs.free_flyer.pair import EVENTS
-from impact_envs.free_flyer.schema import SENSOR_COLUMNS, FreeFlyerScenario
+from impact_envs.free_flyer.contact.pair import EVENTS
+from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.free_flyer.secrets import list_secrets
 from impact_envs.free_flyer.sensing import compute_memory_size, count_uniforms, make_sensing
 from impact_envs.free_flyer.step import (
@@ -26,6 +26,7 @@ from impact_envs.free_flyer.step import (
     run_tuples,
 )
 from impact_envs.free_flyer.task import SIGNALS, FreeFlyerTask
+from impact_envs.free_flyer.truth import SENSOR_COLUMNS
 from impact_envs.free_flyer.worlds import (
     HITS,
     LOST,

@@ -8,10 +8,11 @@ import numpy as np
 
 from impact_envs.compiled import announce
 from impact_envs.free_flyer.command import read_commands
+from impact_envs.free_flyer.contact.pair import EVENTS
 from impact_envs.free_flyer.engine import step_alone
 from impact_envs.free_flyer.model import FreeFlyerModel
-from impact_envs.free_flyer.pair import EVENTS
-from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.truth import Physics
 from impact_envs.free_flyer.worlds import (
     HITS,
     LIMIT,

@@ -10,12 +10,12 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
-from impact_envs.free_flyer.hits import resolve_impacts
-from impact_envs.free_flyer.impulse import add_held_impulses
-from impact_envs.free_flyer.pair import CONTACT_STEP, EVENTS, REST_GAP, SIMULTANEOUS
-from impact_envs.free_flyer.resting import add_contact_forces, clear_rest, find_resting
-from impact_envs.free_flyer.schema import DRIFT_X, DRIFT_Y, FADE, INERTIA, MASS, OFFSET_X, OFFSET_Y, TURN
-from impact_envs.free_flyer.touch import find_touch
+from impact_envs.free_flyer.contact.hits import resolve_impacts
+from impact_envs.free_flyer.contact.impulse import add_held_impulses
+from impact_envs.free_flyer.contact.pair import CONTACT_STEP, EVENTS, REST_GAP, SIMULTANEOUS
+from impact_envs.free_flyer.contact.resting import add_contact_forces, clear_rest, find_resting
+from impact_envs.free_flyer.contact.touch import find_touch
+from impact_envs.free_flyer.truth import DRIFT_X, DRIFT_Y, FADE, INERTIA, MASS, OFFSET_X, OFFSET_Y, TURN
 from impact_envs.free_flyer.worlds import (
     ACCELERATION,
     FELT,

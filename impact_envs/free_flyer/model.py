@@ -15,10 +15,9 @@ import numpy as np
 
 from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.body import Body, make_obstacle, make_walls
-from impact_envs.free_flyer.deviation import compute_deviation, roll_dice
-from impact_envs.free_flyer.engine import fade_thruster, turn_drift
-from impact_envs.free_flyer.lasting_contact import ContactSolver
-from impact_envs.free_flyer.pair import (
+from impact_envs.free_flyer.contact.deviation import compute_deviation, roll_dice
+from impact_envs.free_flyer.contact.lasting_contact import ContactSolver
+from impact_envs.free_flyer.contact.pair import (
     CONTACT_STEP,
     EVENTS,
     GRAZE,
@@ -34,7 +33,9 @@ from impact_envs.free_flyer.pair import (
     find_time_of_impact,
     remove_overlap,
 )
-from impact_envs.free_flyer.schema import (
+from impact_envs.free_flyer.engine import fade_thruster, turn_drift
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.truth import (
     CORNERS,
     DEVIATION,
     DICE,
@@ -49,7 +50,6 @@ from impact_envs.free_flyer.schema import (
     RESTITUTION,
     RESTITUTION_SPEED,
     TURN,
-    FreeFlyerScenario,
     Physics,
 )
 from impact_envs.interface.failure import TooManyEvents

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
+from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.free_flyer.sensing import (
     BODY,
     BODY_SIZE,
@@ -20,6 +20,7 @@ from impact_envs.free_flyer.sensing import (
     make_sensing,
     sample_alone,
 )
+from impact_envs.free_flyer.truth import Physics
 from impact_envs.interface.agent_vectors import read_vectors
 from impact_envs.observation import Layout, describe_robustness
 

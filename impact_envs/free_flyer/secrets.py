@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from impact_envs.free_flyer.schema import CORNERS, INERTIA, FreeFlyerScenario, Physics
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.truth import CORNERS, INERTIA, Physics
 from impact_envs.observation import Layout
 
 CONTACT = ("restitution at zero speed", "v_e of e(v) = e exp(-v / v_e) [m/s], 0 for constant e", "Coulomb coefficient")

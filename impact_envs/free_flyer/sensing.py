@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
-from impact_envs.free_flyer.schema import DELAY, DROPOUT, Truth, largest
+from impact_envs.free_flyer.truth import DELAY, DROPOUT, Truth, largest
 from impact_envs.stream import normal_pair
 
 # What is observed of a body, in order; after all bodies come contacts, the time, and the robustness of each conjunct.

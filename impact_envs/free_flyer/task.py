@@ -10,9 +10,10 @@ from gymnasium.spaces import Box
 
 from impact_envs.free_flyer.command import read_commands
 from impact_envs.free_flyer.observation import Sensors, make_joint_layout, make_layout
-from impact_envs.free_flyer.schema import FreeFlyerScenario, Physics
+from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.free_flyer.secrets import list_secrets_of_one, make_secrets_layout
 from impact_envs.free_flyer.sensing import FELT_SPEED, write_observations
+from impact_envs.free_flyer.truth import Physics
 from impact_envs.interface.shape import Shape
 from impact_envs.observation import MOTION, Layout
 from impact_envs.physics.impact import Impact

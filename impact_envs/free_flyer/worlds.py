@@ -17,7 +17,8 @@ import numpy as np
 from impact_envs.compiled import compiled
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.body import make_obstacle, make_walls
-from impact_envs.free_flyer.schema import (
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.truth import (
     BODY_COLUMNS,
     CONTACT_COLUMNS,
     OFFSET_X,
@@ -25,7 +26,6 @@ from impact_envs.free_flyer.schema import (
     START_X,
     START_Y,
     THRUSTER_COLUMNS,
-    FreeFlyerScenario,
     Physics,
 )
 

@@ -17,7 +17,9 @@ from impact_envs.compiled import compiled
 from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.engine import turn_drift
 from impact_envs.free_flyer.observation import join_observations
-from impact_envs.free_flyer.schema import (
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.sensing import TIME, find_shared_place
+from impact_envs.free_flyer.truth import (
     DELAY,
     DRIFT_X,
     DRIFT_Y,
@@ -28,10 +30,8 @@ from impact_envs.free_flyer.schema import (
     RESTITUTION,
     RESTITUTION_SPEED,
     TURN,
-    FreeFlyerScenario,
     Physics,
 )
-from impact_envs.free_flyer.sensing import TIME, find_shared_place
 from impact_envs.physics.impact import compute_restitution
 from planners.free_flyer.belief.impact_parameters import find_row
 from planners.free_flyer.belief.offset import LEAST

@@ -6,7 +6,7 @@ import pytest
 from impact_envs import list_scenarios, load_scenario
 from impact_envs.domain import find_scenarios
 from impact_envs.errors import ScenarioError
-from impact_envs.free_flyer.schema import DRIFT_X, DRIFT_Y, MASS, RESTITUTION
+from impact_envs.free_flyer.truth import DRIFT_X, DRIFT_Y, MASS, RESTITUTION
 from impact_envs.scenario import Uniform
 
 CORRIDOR = next(path for path in find_scenarios() if path.stem == "corridor").read_text()

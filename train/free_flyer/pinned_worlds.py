@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from impact_envs.errors import InputError, choices
-from impact_envs.free_flyer.schema import Drawn, FreeFlyerScenario, Physics, Truth
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.truth import Drawn, Physics, Truth
 from impact_envs.scenario import Uniform
 
 # Names of several fields of `Truth` that a user varies as one.
@@ -74,7 +75,7 @@ class PinnedScenario:
         """Find the columns of the uniform numbers that a disturbance is drawn from, one for each body."""
         counts = {"world": 1, "robot": len(self._scenario.robots), "object": len(self._scenario.objects)}
         place = 0
-        for name, row in self._scenario._list_drawn().items():
+        for name, row in self._scenario.list_drawn().items():
             how = next(how for how in Truth.model_fields[name].metadata if isinstance(how, Drawn))
             length, given = len(row) // counts[how.per], getattr(self._scenario.true, name)
             varied = isinstance(given, Uniform) and given.uniform[0] < given.uniform[1]

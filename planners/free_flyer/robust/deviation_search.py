@@ -39,7 +39,7 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
 
     A plan for a deviation bears every smaller one, so one deviation that is proven infeasible bounds all above it.
     Numbers of impacts are compared roughly; once one has a plan, the others share a quarter of the time limit. Then the
-    best is bisected. The search ends early where a fifth more would exceed what no plan with any number of impacts can
+    best is searched closely. The search ends early where a fifth more would exceed what no plan with any number of impacts can
     bear: its last leg alone spreads the object by the gap times the deviation. On a constant grid the deviation is a
     variable of one mixed-integer problem.
 
@@ -91,11 +91,11 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
 def search_deviation(
     task: RobustTask, size: GridSize, known: float, high: float, gap: float, time_limit: float
 ) -> tuple[float, float]:
-    """Return the greatest deviation of one size of grid and its proven bound, by bisection.
+    """Return the greatest deviation of one size of grid and its proven bound.
 
     If a deviation is feasible, its integers are fixed and the best deviation for them is bisected in linear problems.
-    Deviations just above the best known one and halfway to the bound take turns: the search ends when one of the first
-    kind is infeasible.
+    The next one tried is by the gap above that: the search ends when it is infeasible. Proofs are what takes time, so
+    none is made of a deviation that the last one will cover.
 
     Args:
         task: what is asked.
@@ -112,8 +112,7 @@ def search_deviation(
         SolverFailed: out of time before anything was found.
     """
     start = read_clock()
-    low, near = known, True
-    options = task.options.deviation
+    low, options = known, task.options.deviation
     target = min(known * (1.0 + options.gap) or options.smallest, high)
     while True:
         try:
@@ -126,16 +125,15 @@ def search_deviation(
                 raise
             return low, high
         else:
-            low = _improve(task, size, x, target, high, gap)
+            low = _improve(task, size, x, target, high)
         if low == 0.0 or high <= low * (1.0 + gap) + 1e-12:
             return low, high
-        near = not near
-        target = min(low * (1.0 + gap), high) if near else 0.5 * (low + high)
+        target = min(low * (1.0 + gap), high)
 
 
-def _improve(task: RobustTask, size: GridSize, x: np.ndarray, low: float, high: float, gap: float) -> float:
-    """Return the greatest deviation, to half the gap, that the same integers bear."""
-    while high - low > 0.5 * gap * low:
+def _improve(task: RobustTask, size: GridSize, x: np.ndarray, low: float, high: float) -> float:
+    """Return the greatest deviation, to half the finest gap, that the same integers bear."""
+    while high - low > 0.5 * task.options.deviation.gap * low:
         middle = 0.5 * (low + high)
         try:
             solve(_fix_integers(task.build(size, middle)[0].model, x), np.inf, solver=task.solver)

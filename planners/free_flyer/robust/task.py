@@ -30,7 +30,7 @@ class DeviationOptions:
             tried.
     """
 
-    gap: float = 2e-3
+    gap: float = 1e-2
     rough_gap: float = 0.1
     worth: float = 0.2
     smallest: float = 1e-4

@@ -11,7 +11,8 @@ import pytest
 from impact_envs.errors import ScenarioError
 from impact_envs.free_flyer.disc_model import DiscModel
 from impact_envs.free_flyer.model import FreeFlyerModel
-from impact_envs.free_flyer.schema import INERTIA, MASS, FreeFlyerScenario
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.truth import INERTIA, MASS
 from impact_envs.rollout import ZeroPolicy, rollout
 from impact_envs.scenario import build_scenario
 

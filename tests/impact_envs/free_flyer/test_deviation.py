@@ -9,7 +9,8 @@ import pytest
 
 from impact_envs import load_scenario, parallel_env, rollout, vector_env
 from impact_envs.free_flyer.disc_model import make_model
-from impact_envs.free_flyer.schema import CORNERS, DEVIATION, FreeFlyerScenario
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.truth import CORNERS, DEVIATION
 from impact_envs.rollout import ZeroPolicy
 
 DELTA, SPEED, PUSH = 0.02, 0.3, "objects.pop.start_velocity"

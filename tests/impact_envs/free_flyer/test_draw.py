@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from impact_envs import InputError, ScenarioError, list_scenarios, load_scenario, parallel_env, vector_env
-from impact_envs.free_flyer.schema import (
+from impact_envs.free_flyer.truth import (
     DRIFT_X,
     DRIFT_Y,
     FADE,

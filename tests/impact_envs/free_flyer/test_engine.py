@@ -12,7 +12,7 @@ from impact_envs.compiled import compiled
 from impact_envs.errors import ScenarioError
 from impact_envs.free_flyer.disc_model import DiscModel, make_model
 from impact_envs.free_flyer.model import FreeFlyerModel
-from impact_envs.free_flyer.schema import MASS, RESTITUTION
+from impact_envs.free_flyer.truth import MASS, RESTITUTION
 from impact_envs.interface.failure import TooManyEvents
 from impact_envs.physics.time_of_impact import find_disc_impact
 from impact_envs.scenario import build_scenario, load_scenario

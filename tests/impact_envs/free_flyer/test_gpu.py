@@ -14,8 +14,8 @@ from impact_envs import load_scenario, vector_env
 from impact_envs.errors import InputError
 from impact_envs.free_flyer import gpu
 from impact_envs.free_flyer.batch import Batch
+from impact_envs.free_flyer.contact.pair import REST_GAP
 from impact_envs.free_flyer.gpu import SIMULATED, GpuBatch, check_gpu, check_room
-from impact_envs.free_flyer.pair import REST_GAP
 
 WORLDS, STEPS = 3, 40
 ALL = np.ones(WORLDS, bool)

@@ -10,7 +10,8 @@ import pytest
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.disc_model import DiscModel
 from impact_envs.free_flyer.model import FreeFlyerModel
-from impact_envs.free_flyer.schema import (
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.truth import (
     DRIFT_X,
     DRIFT_Y,
     FADE,
@@ -21,7 +22,6 @@ from impact_envs.free_flyer.schema import (
     OFFSET_Y,
     RESTITUTION,
     RESTITUTION_SPEED,
-    FreeFlyerScenario,
 )
 from impact_envs.physics.convex import Disc, Polygon, compute_contact
 from impact_envs.physics.impact import (

@@ -12,7 +12,6 @@ from impact_envs.free_flyer.observation import (
     make_layout,
     observed_order,
 )
-from impact_envs.free_flyer.schema import DROPOUT
 from impact_envs.free_flyer.sensing import (
     VELOCITY_WINDOW,
     Sensing,
@@ -22,6 +21,7 @@ from impact_envs.free_flyer.sensing import (
     write_agent_observation,
     write_joint_observation,
 )
+from impact_envs.free_flyer.truth import DROPOUT
 from impact_envs.stream import draw_doubles, seed_streams
 
 SCENARIO = load_scenario("crew")

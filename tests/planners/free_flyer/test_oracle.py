@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from impact_envs import InputError, load_scenario, parallel_env, rollout, vector_env
-from impact_envs.free_flyer.schema import DRIFT_X, DRIFT_Y, MASS, OFFSET_X, OFFSET_Y, RESTITUTION
+from impact_envs.free_flyer.truth import DRIFT_X, DRIFT_Y, MASS, OFFSET_X, OFFSET_Y, RESTITUTION
 from planners import make_expert, make_oracle, make_oracle_batch
 from planners.free_flyer.belief.world_memory import FILTER
 from planners.free_flyer.oracle import CERTAIN, FreeFlyerOracle, Truth, turn_drifts

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from impact_envs.errors import InputError
-from impact_envs.free_flyer.schema import START_X, START_Y
+from impact_envs.free_flyer.truth import START_X, START_Y
 from impact_envs.stl import parse
 from planners.plan import Plan
 from train.evaluation.batch_player import play_batched

@@ -11,7 +11,8 @@ import pytest
 
 import planners
 from impact_envs.free_flyer.model import FreeFlyerModel
-from impact_envs.free_flyer.schema import OFFSET_X, OFFSET_Y, FreeFlyerScenario
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.truth import OFFSET_X, OFFSET_Y
 from impact_envs.vector import vector_env
 from planners.free_flyer.belief.estimator import (
     compute_variance,

@@ -51,7 +51,7 @@ def test_the_bound_is_that_of_every_number_of_impacts() -> None:
     """A search whose greater numbers of impacts are cut knows no more than the ceiling, 0.05 m/s in relay."""
     plan = make_plan("relay", "impact_uncertainty", time_limit=300.0)
     assert plan.deviation == pytest.approx(0.01434, abs=1e-4)
-    assert plan.deviation_bound == pytest.approx(0.02005, abs=1e-4)
+    assert plan.deviation_bound == pytest.approx(0.02173, abs=1e-4)  # six impacts count if they bear a fifth more
 
 
 def test_boxes_grow_by_the_deviation_and_hold_the_nominal_motion() -> None:

@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled, inlined
-from impact_envs.free_flyer.impulse import find_speed, read_contact, solve_impulses, write_contact
-from impact_envs.free_flyer.pair import CONTACT_STEP, PART_SPEED, REST_GAP, REST_PRESS, REST_SHARE
-from impact_envs.free_flyer.schema import FRICTION, OFFSET_X
-from impact_envs.free_flyer.touch import find_approach, find_gap, find_press, is_offset
+from impact_envs.free_flyer.contact.impulse import find_speed, read_contact, solve_impulses, write_contact
+from impact_envs.free_flyer.contact.pair import CONTACT_STEP, PART_SPEED, REST_GAP, REST_PRESS, REST_SHARE
+from impact_envs.free_flyer.contact.touch import find_approach, find_gap, find_press, is_offset
+from impact_envs.free_flyer.truth import FRICTION, OFFSET_X
 from impact_envs.free_flyer.worlds import (
     ACCELERATION,
     CHANGE,

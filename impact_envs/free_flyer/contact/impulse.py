@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
-from impact_envs.free_flyer.schema import FRICTION, INERTIA, MASS
-from impact_envs.free_flyer.touch import find_approach, find_gap
+from impact_envs.free_flyer.contact.touch import find_approach, find_gap
+from impact_envs.free_flyer.truth import FRICTION, INERTIA, MASS
 from impact_envs.free_flyer.worlds import (
     ACROSS,
     ALONG,

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
-from impact_envs.free_flyer.pair import CONTACT_STEP, SINK
-from impact_envs.free_flyer.schema import OFFSET_X, OFFSET_Y
+from impact_envs.free_flyer.contact.pair import CONTACT_STEP, SINK
+from impact_envs.free_flyer.truth import OFFSET_X, OFFSET_Y
 from impact_envs.free_flyer.worlds import ACCELERATION, RADIUS, Arena, Scratch, Worlds
 from impact_envs.physics.time_of_impact import NEWTON_STEPS, TOUCHING, find_disc_impact, find_face_impact
 

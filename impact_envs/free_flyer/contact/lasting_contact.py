@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pymunk
 
 from impact_envs.free_flyer.body import Body
-from impact_envs.free_flyer.pair import SKIN
+from impact_envs.free_flyer.contact.pair import SKIN
 
 # Few sweeps leave a symmetric squeeze of an object asymmetric; a test holds 50 to keep it still.
 ITERATIONS = 50

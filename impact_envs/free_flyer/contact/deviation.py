@@ -6,7 +6,7 @@ Compiled scalar functions, for both engines.
 from __future__ import annotations
 
 from impact_envs.compiled import compiled
-from impact_envs.free_flyer.schema import DICE_MODULUS
+from impact_envs.free_flyer.truth import DICE_MODULUS
 
 MULTIPLIER = 48271.0
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from impact_envs.compiled import compiled
-from impact_envs.free_flyer.deviation import compute_deviation, roll_dice
-from impact_envs.free_flyer.impulse import add_held_impulses, read_contact, solve_impacts, write_contact
-from impact_envs.free_flyer.pair import CONTACT_STEP, GRAZE, PART_SPEED, REST_GAP, REST_PRESS, REST_SHARE
-from impact_envs.free_flyer.schema import CORNERS, DEVIATION, DICE, MASS, RESTITUTION, RESTITUTION_SPEED
-from impact_envs.free_flyer.touch import find_approach, find_gap, find_press
+from impact_envs.free_flyer.contact.deviation import compute_deviation, roll_dice
+from impact_envs.free_flyer.contact.impulse import add_held_impulses, read_contact, solve_impacts, write_contact
+from impact_envs.free_flyer.contact.pair import CONTACT_STEP, GRAZE, PART_SPEED, REST_GAP, REST_PRESS, REST_SHARE
+from impact_envs.free_flyer.contact.touch import find_approach, find_gap, find_press
+from impact_envs.free_flyer.truth import CORNERS, DEVIATION, DICE, MASS, RESTITUTION, RESTITUTION_SPEED
 from impact_envs.free_flyer.worlds import (
     ACROSS,
     ALONG,

@@ -1,0 +1,1 @@
+"""Contacts of free-flyers: when bodies touch, and what they do to each other then."""
