@@ -38,10 +38,10 @@ def maximise_deviation(task: RobustTask, max_impacts: int, time_limit: float) ->
     """Return the greatest deviation over numbers of impacts; more impacts count only if they bear a fifth more.
 
     A plan for a deviation bears every smaller one, so one deviation that is proven infeasible bounds all above it.
-    Numbers of impacts are compared roughly; once one has a plan, the others share a quarter of the time limit. Then the
-    best is searched closely. The search ends early where a fifth more would exceed what no plan with any number of impacts can
-    bear: its last leg alone spreads the object by the gap times the deviation. On a constant grid the deviation is a
-    variable of one mixed-integer problem.
+    Numbers of impacts are compared roughly; once one has a plan, the others share a quarter of the time limit. Then
+    the best is searched closely. The search ends early where a fifth more would exceed what no plan with any number
+    of impacts can bear: its last leg alone spreads the object by the gap times the deviation. On a constant grid the
+    deviation is a variable of one mixed-integer problem.
 
     Args:
         task: what is asked.
