@@ -48,6 +48,8 @@ class Args:
     """Number of tasks."""
     seed: int = 1_000_000
     """Seed of the first one; the others follow."""
+    hurry: float = 1.0
+    """Factor of the horizons: below 1 there is less time, and more tasks have no plan."""
     time_limit: float = 60.0
     """Of each [s]."""
     clock: Literal["wall", "cpu"] = "wall"
@@ -98,7 +100,7 @@ class Finer:
     reserves: Reserves = field(default_factory=lambda: Reserves().halved().halved())
 
 
-def draw_task(seed: int) -> tuple[str, dict[str, Any]]:
+def draw_task(seed: int, hurry: float = 1.0) -> tuple[str, dict[str, Any]]:
     """Return the kind of a random task and its tables.
 
     One to four robots and one to three objects of 2 to 40 kg, none to three obstacles; the formula asks one thing of
@@ -106,6 +108,7 @@ def draw_task(seed: int) -> tuple[str, dict[str, Any]]:
 
     Args:
         seed: of everything.
+        hurry: factor of the horizon.
     """
     rng = np.random.default_rng(seed)
     radius = float(rng.choice([0.15, 0.2, 0.3]))
@@ -115,6 +118,7 @@ def draw_task(seed: int) -> tuple[str, dict[str, Any]]:
     robots = int(rng.choice([1, 2, 3, 4], p=[0.2, 0.4, 0.25, 0.15]))
     objects = min(int(rng.choice([1, 2, 3], p=[0.65, 0.25, 0.1])), robots)
     horizon = float(np.ceil((40.0 + 10.0 * size / speed * 0.3) * rng.uniform(1.0, 1.8) / 10.0) * 10.0)
+    horizon = round(horizon * hurry, 1)
     places = _Places(rng, size, radius)
     half = 0.5 * unit * rng.uniform(0.8, 1.2)
     goals = [places.add(half, half + 0.3 * unit) for _ in range(objects)]
@@ -210,11 +214,11 @@ def _box(center: np.ndarray, half: float) -> dict[str, Any]:
     return {"lower": [float(x) for x in center - half], "upper": [float(x) for x in center + half]}
 
 
-def draw_tasks(count: int, seed: int) -> Iterator[tuple[int, str, dict[str, Any]]]:
+def draw_tasks(count: int, seed: int, hurry: float = 1.0) -> Iterator[tuple[int, str, dict[str, Any]]]:
     """Yield seeds, kinds and tables of tasks; seeds whose bodies find no room are left out."""
     while count:
         with suppress(RuntimeError):
-            yield (seed, *draw_task(seed))
+            yield (seed, *draw_task(seed, hurry))
             count -= 1
         seed += 1
 
@@ -286,6 +290,8 @@ def main(args: Args) -> None:
     check_seed(args.seed)
     if not args.confirm >= 0.0:
         raise InputError(f"confirm = {args.confirm}: a number of at least 0 is needed [s]")
+    if not 0.0 < args.hurry <= 1.0:
+        raise InputError(f"hurry = {args.hurry}: a number above 0 and at most 1 is needed")
     if not args.time_limit > 0.0:
         raise InputError(f"time_limit = {args.time_limit}: a number above 0 is needed [s]")
     if args.fly and not args.plans:
@@ -295,7 +301,7 @@ def main(args: Args) -> None:
     rows: list[Row] = []
     clock = Clock(time.process_time if args.clock == "cpu" else time.perf_counter)
     try:
-        for seed, kind, data in draw_tasks(args.count, args.seed):
+        for seed, kind, data in draw_tasks(args.count, args.seed, args.hurry):
             if args.scenarios:
                 (args.scenarios / f"{data['name']}.json").write_text(json.dumps(data, indent=1))
             with use_clock(clock):
