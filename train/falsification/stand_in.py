@@ -45,7 +45,9 @@ def make_stand_in(case: Case, policy: str, settings: Mapping[str, Any]) -> Case:
     """
     for name in settings:
         if not name.startswith(EXPERT):
-            raise InputError(f"--stand-in {name}: give options of the expert, {EXPERT}NAME=VALUE; the world stays the same")
+            raise InputError(
+                f"--stand-in {name}: give options of the expert, {EXPERT}NAME=VALUE; the world stays the same"
+            )
     made = replace(case, settings={**case.settings, **settings})
     check_settings(made, [policy])
     return made
