@@ -24,7 +24,7 @@ from impact_envs.errors import InputError, check_count, choices
 from train.evaluation.case import TUNING_SEEDS, make_case
 from train.evaluation.evaluate import make_plans
 from train.evaluation.player import Job
-from train.falsification.arena import Arena
+from train.falsification.arena import Arena, Played
 from train.falsification.search import SearchOptions, search_failures
 from train.watch import exit_codes
 
@@ -56,10 +56,12 @@ class Args:
     """Whose ranges are searched."""
     wall: bool = False
     """Print the time of a clock, too."""
+    replay: bool = False
+    """Play what SCENARIO/mpc searched again with its stand-in, mpc-kept, and count the failures of both."""
 
 
-def measure_search(name: str, args: Args) -> tuple[int, float, float, int]:
-    """Return episodes, processor time [s], time by a clock [s], and failures of a search, when all is compiled.
+def measure_search(name: str, args: Args) -> tuple[Played, float, float]:
+    """Return the episodes of a search, processor time [s], and time by a clock [s], when all is compiled.
 
     Args:
         name: SCENARIO/POLICY, see Args.
@@ -74,7 +76,24 @@ def measure_search(name: str, args: Args) -> tuple[int, float, float, int]:
     clock, start = time.perf_counter(), read_cpu()
     with closing(Arena(case, policy, SearchOptions(episodes=episodes).width, args.workers)) as arena:
         played = search_failures(arena, TUNING_SEEDS, SearchOptions(episodes=episodes))
-    return arena.episodes, read_cpu() - start, time.perf_counter() - clock, int(np.sum(~played.success))
+    return played, read_cpu() - start, time.perf_counter() - clock
+
+
+def replay_search(name: str, played: Played, args: Args) -> tuple[int, int, int, int]:
+    """Return how many episodes a stand-in plays otherwise, and failures: of both, of the policy alone, of it alone.
+
+    Args:
+        name: SCENARIO/mpc.
+        played: episodes of its search.
+        args: see there.
+    """
+    jobs = [Job(0, "expert", TUNING_SEEDS)]
+    (case,) = make_plans([make_case(name.partition("/")[0], args.suite, KINDS["mpc-kept"])], jobs)
+    with closing(Arena(case, "expert", SearchOptions(episodes=args.episodes).width, args.workers)) as arena:
+        again = arena.play(played.places, played.seeds)
+    failed, fails = ~played.success, ~again.success
+    counts = again.robustness != played.robustness, failed & fails, failed & ~fails, ~failed & fails
+    return tuple(int(np.sum(count)) for count in counts)  # type: ignore[return-value]
 
 
 def main(args: Args) -> None:
@@ -93,11 +112,18 @@ def main(args: Args) -> None:
     table = Table(title=f"Episodes a minute of a search in {args.suite}, {args.workers} lanes")
     for head in ("case", "episodes", "failures", "a minute of a core", *(["by a clock"] * args.wall)):
         table.add_column(head, justify="left" if head == "case" else "right")
+    shared = Table(title="The same episodes, played by the stand-in that does not plan anew")
+    for head in ("case", "other robustness", "both fail", "the policy alone", "the stand-in alone"):
+        shared.add_column(head, justify="left" if head == "case" else "right")
     for name in args.cases:
-        count, cpu, wall, failures = measure_search(name, args)
-        rates = [cpu, *([wall] * args.wall)]
-        table.add_row(name, str(count), str(failures), *(f"{60.0 * count / seconds:,.0f}" for seconds in rates))
-    Console().print(table)
+        played, cpu, wall = measure_search(name, args)
+        rates, count = [cpu, *([wall] * args.wall)], len(played.success)
+        failures = str(np.sum(~played.success))
+        table.add_row(name, str(count), failures, *(f"{60.0 * count / seconds:,.0f}" for seconds in rates))
+        if args.replay and name.endswith("/mpc"):
+            shared.add_row(name, *map(str, replay_search(name, played, args)))
+    for one in (table, shared) if args.replay else (table,):
+        Console().print(one)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -20,6 +20,7 @@ from train.evaluation.case import Case, make_case
 if TYPE_CHECKING:
     from train.falsification.arena import Arena, Played
     from train.falsification.counterexample import Counterexample
+    from train.falsification.search import SearchOptions
 
 
 @dataclass
@@ -36,6 +37,10 @@ class Command:
     vary: tuple[str, ...] = ()
     """Further ranges, or others than the suite's: start=0.05 for robots and objects that start up to 0.05 m from where
     the plan has them, along x and y; robot_start=, object_start=; NAME=LOW,HIGH for what the suite may draw."""
+    stand_in: tuple[str, ...] = ()
+    """Have the policy with these options of its expert search, where it takes much less time, for example
+    expert.plan_anew=false. The policy itself plays the mildest of its failures again; counterexamples are those in
+    which it fails too, made milder and measured with it. Where the stand-in succeeds nobody looks."""
     episodes: int = 3000
     """Of the search."""
     method: Literal["random", "cross_entropy", "cma"] = "cross_entropy"
@@ -49,7 +54,8 @@ class Command:
     workers: int = 1
     """Threads; experts plan anew in processes beside them."""
     out: Path | None = None
-    """Write a copy of the scenario with a suite break_1, break_2, ... for each; every command takes it."""
+    """Write a copy of the scenario with a suite break_1, break_2, ... for each; every command takes it. A file that is
+    there is kept: choose another."""
     map: Path | None = None
     """Draw robustness over the two disturbances that explain most of it: a .png, .pdf or .svg."""
     report: Path | None = None
@@ -61,24 +67,22 @@ class Command:
         from train.evaluation.evaluate import check_request, make_plans
         from train.evaluation.player import Job
         from train.falsification.arena import Arena
-        from train.falsification.counterexample import find_counterexamples
         from train.falsification.robustness_map import check_map
-        from train.falsification.search import SearchOptions, search_failures
+        from train.falsification.search import SearchOptions
+        from train.falsification.stand_in import make_stand_in
         from train.falsification.suite_file import write_suites
+        from train.settings import parse_settings
 
         self._check()
         case, options = self._make_case(), SearchOptions(self.method, self.episodes)
+        changed = parse_settings(self.stand_in, "--stand-in")
+        make_stand_in(case, self.policy, changed)  # says now what is wrong with it
         check_request([case], [self.policy], self.episodes, self.seed, self.workers)
         arena = Arena(case, self.policy, options.width)  # refuses what cannot be searched before anything is planned
         if self.map is not None:
             check_map(arena)
         (case,) = make_plans([case], [Job(0, self.policy, self.seed)])
-        with closing(Arena(case, self.policy, options.width, self.workers)) as arena:
-            start = time.perf_counter()
-            played = search_failures(arena, self.seed, options)
-            seconds, searched = time.perf_counter() - start, arena.episodes
-            fresh = self.seed + 100_000 + np.arange(self.fresh)
-            found = find_counterexamples(arena, played, self.most, fresh)
+        played, found, counts = self._search(case, options, changed)
         if self.out:
             write_suites(case, self.scenario, found, self.out)
             say_written(self.out)
@@ -87,15 +91,43 @@ class Command:
             "suite": self.suite,
             **({"vary": list(self.vary)} if self.vary else {}),
             "policy": self.policy,
-            "episodes": searched,
+            **({"stand_in": changed} if changed else {}),
+            "episodes": len(played.success),
             "failures": int(np.sum(~played.success)),
             "least_robustness": float(played.robustness.min()),
-            "episodes_per_minute": 60.0 * searched / max(seconds, 1e-9),
-            "episodes_with_minimising": arena.episodes,
+            **counts,
             **_describe(arena, played, found),
         }
         self._show(case, arena, played, found, result)
         return result
+
+    def _search(
+        self, case: Case, options: SearchOptions, changed: dict[str, Any]
+    ) -> tuple[Played, list[Counterexample], dict[str, Any]]:
+        """Return the episodes of the search, the counterexamples, and how many episodes that took."""
+        from train.falsification.arena import Arena
+        from train.falsification.counterexample import find_counterexamples
+        from train.falsification.search import search_failures
+        from train.falsification.stand_in import make_stand_in, replay_failures
+
+        counts: dict[str, Any] = {}
+        with ExitStack() as arenas:
+
+            def open_arena(case: Case) -> Arena:
+                return arenas.enter_context(closing(Arena(case, self.policy, options.width, self.workers)))
+
+            arena = searcher = open_arena(case)
+            if changed:
+                searcher = open_arena(make_stand_in(case, self.policy, changed))
+            start = time.perf_counter()
+            played = own = search_failures(searcher, self.seed, options)
+            counts["episodes_per_minute"] = 60.0 * searcher.episodes / max(time.perf_counter() - start, 1e-9)
+            if changed:
+                own = replay_failures(arena, searcher, played, self.most)
+                counts |= {"replayed": len(own.success), "confirmed": int(np.sum(~own.success))}
+            found = find_counterexamples(arena, own, self.most, self.seed + 100_000 + np.arange(self.fresh))
+            counts["episodes_with_minimising"] = arena.episodes + (searcher.episodes if changed else 0)
+        return played, found, counts
 
     def _show(self, case: Case, arena: Arena, played: Played, found: list[Counterexample], result: Any) -> None:
         """Draw the map, and put what was found beside the evaluation, where it is asked for."""
@@ -107,7 +139,8 @@ class Command:
             return
         figure = None
         if len(arena.names) > 1:
-            title = f"{self.policy} in {case.scenario.name}, {self.suite}: {result['episodes']} episodes"
+            who = f"{self.policy}{' with ' * bool(self.stand_in)}{', '.join(self.stand_in)}"
+            title = f"{who} in {case.scenario.name}, {self.suite}: {result['episodes']} episodes"
             figure = draw_map(arena, played, found, title, case.scenario.specification)
         if self.map is not None and figure is not None:
             save_figure(figure, self.map)
@@ -134,6 +167,8 @@ class Command:
                 raise InputError(f"--{name} {getattr(self, name)}: at least 1 is needed")
         if self.out is not None and not self.out.absolute().parent.is_dir():
             raise InputError(f"cannot write {self.out}: folder {self.out.absolute().parent} does not exist")
+        if self.out is not None and self.out.is_file():  # a scenario that somebody wrote, or an earlier search's
+            raise InputError(f"--out {self.out}: is there already; choose another file")
         if self.map is not None:
             check_picture_path(self.map)
         if self.report is not None:

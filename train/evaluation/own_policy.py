@@ -22,7 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from impact_envs.env import parallel_env
 from impact_envs.errors import InputError, choices
+from impact_envs.interface.agent_vectors import read_vectors
 from impact_envs.interface.extras import find_extras
 from impact_envs.rollout import Diagnostics, Policy
 from impact_envs.scenario import Scenario
@@ -53,10 +55,11 @@ class _Judged:
     Args:
         label: what to call it.
         policy: with ``reset`` and ``act``.
+        sizes: agent to the length of its actions.
     """
 
-    def __init__(self, label: str, policy: Any) -> None:
-        self.name, self._policy = label, policy
+    def __init__(self, label: str, policy: Any, sizes: Mapping[str, int]) -> None:
+        self.name, self._policy, self._sizes = label, policy, sizes
         self._seconds: list[float] = []
 
     def reset(self, seed: int) -> None:
@@ -66,11 +69,16 @@ class _Judged:
             self._policy.reset(seed)
 
     def act(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return each agent's action."""
+        """Return each agent's action.
+
+        Raises:
+            InputError: the policy failed, or returned what are no actions; the line names it.
+        """
         start = time.perf_counter()
         with _blame_play(self.name, "act"):
             actions: dict[str, np.ndarray] = self._policy.act(observations)
         self._seconds.append(time.perf_counter() - start)
+        read_vectors(actions, self._sizes, f"policy '{self.name}': action")
         return actions
 
     def diagnostics(self) -> Diagnostics:
@@ -131,7 +139,9 @@ def make_own(policy: str, scenario: Scenario) -> Policy:
     lacking = [name for name in ("reset", "act") if not callable(getattr(made, name, None))]
     if lacking:
         raise InputError(f"policy '{policy}' made {made!r:.60}, which has no {' and no '.join(lacking)}")
-    return _Judged(str(policy), made)
+    env = parallel_env(scenario)
+    sizes = {agent: env.action_space(agent).shape[0] for agent in env.possible_agents}
+    return _Judged(str(policy), made, sizes)
 
 
 def announce(policies: Iterable[str]) -> None:

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, FiniteFloat
+from pydantic import BaseModel, FiniteFloat, JsonValue
 
 from impact_envs.errors import InputError
 from train.evaluation.journal import read_record
@@ -41,6 +41,9 @@ class Search(BaseModel):
     suite: str
     policy: str
     vary: list[str] = []
+    stand_in: dict[str, JsonValue] = {}
+    replayed: int = 0
+    confirmed: int = 0
     episodes: int
     failures: int
     least_robustness: FiniteFloat
@@ -74,9 +77,16 @@ def _write_search(search: Search, folder: Path) -> str:
     varied = f", varied {', '.join(search.vary)}" if search.vary else ""
     title = f"{search.policy} in {search.scenario} · {search.suite}{varied}"
     explained = [f"{name} {share:.0%}" for name, share in list(search.explains.items())[:MOST_NUMBERS]]
+    by = again = ""
+    if search.stand_in:
+        by = f" of a stand-in with {', '.join(f'{name}={value}' for name, value in search.stand_in.items())}"
+        again = (
+            f" The policy itself played {search.replayed} of them again, or milder ones, and failed in "
+            f"{search.confirmed}: the worlds below are its own failures."
+        )
     text = (
-        f"{search.failures} of {search.episodes} episodes failed; the least robustness was "
-        f"{search.least_robustness:.3g}. Share of the robustness' variance that one number explains: "
+        f"{search.failures} of {search.episodes} episodes{by} failed; the least robustness was "
+        f"{search.least_robustness:.3g}.{again} Share of the robustness' variance that one number explains: "
         f"{', '.join(explained)}."
     )
     number = 1 + min(range(len(search.counterexamples)), key=lambda k: search.counterexamples[k].robustness, default=-1)

@@ -267,16 +267,16 @@ def _add_impact_rows(grid: EventGrid, scenario: FreeFlyerScenario, event: int, r
     if isinstance(someone, Affine):
         model.require_equal(someone - 1.0)
     model.require_equal(sum(sides, Affine({})) - 1.0)
-    toward = np.array(sides, dtype=object) @ DIRECTIONS
+    toward, backward = (np.array(sides, dtype=object) @ directions for directions in (DIRECTIONS, BACKWARD))
     for (robot, name), hit in hits.items():
-        reach = scenario.robots[robot].radius + scenario.objects[name].radius
+        reach, off = scenario.robots[robot].radius + scenario.objects[name].radius, 1.0 - hit
         miss = grid.knots[robot][event * grid.pieces] + toward * reach - grid.path(name)[event]
         for entry in miss:
-            model.require(entry, unless=1.0 - hit)
-            model.require(-entry, unless=1.0 - hit)
-        farthest = AXES @ grid.path(name)[event] + np.array(sides, dtype=object) @ BACKWARD * reach
+            model.require(entry, unless=off)
+            model.require(-entry, unless=off)
+        farthest = AXES @ grid.path(name)[event] + backward * reach
         for place, edge in zip(farthest, edges, strict=True):
-            model.require(place + scenario.robots[robot].radius + run_up - edge, unless=1.0 - hit)
+            model.require(place + scenario.robots[robot].radius + run_up - edge, unless=off)
 
 
 def _add_cone_rows(grid: EventGrid, event: int, name: str, push: float) -> None:
@@ -382,9 +382,10 @@ def _add_speed_rows(grid: EventGrid, loose: bool) -> None:
             for piece in range(grid.count):
                 share = grid.first_turn if piece < grid.pieces else 1.0
                 cruise = grid.duration(piece) - share * grid.turns.get(name, 0.0)
+                farthest = grid.fastest(name, piece) * cruise
                 for step in knots[piece + 1] - knots[piece]:
-                    grid.model.require(step - grid.fastest(name, piece) * cruise)
-                    grid.model.require(-step - grid.fastest(name, piece) * cruise)
+                    grid.model.require(step - farthest)
+                    grid.model.require(-step - farthest)
 
 
 def _add_hitter_rows(grid: EventGrid, name: str, each: Mapping[str, Sequence[float]]) -> None:

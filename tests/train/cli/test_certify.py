@@ -48,6 +48,7 @@ BAD = {
     "no such number": (("break", "zero", "pong", "--vary", "strat=0.1"), ["--vary strat=0.1", "start"]),
     "no evaluation": (("break", "zero", "pong", "--report", "nowhere"), ["--report nowhere", "impact evaluate"]),
     "starts outside": (("break", "zero", "pong", "--vary", "start=50"), ["could start outside the world"]),
+    "a file there": (("break", "zero", "pong", "--out", PLANS / "pong.json"), ["--out", "pong.json: is there already"]),
     "no episodes": (("break", "zero", "pong", "--episodes", "0"), ["--episodes 0"]),
 }
 

@@ -179,6 +179,33 @@ def test_what_are_no_diagnostics_is_named(folder, capsys):
     assert last == "impact: policy 'fragile.py:Fragile': diagnostics returned 7; Diagnostics are needed"
 
 
+@pytest.mark.parametrize(
+    ("push", "says"),
+    [
+        ("np.zeros(2)", "action of snap = [0.0, 0.0]: 3 finite numbers are needed"),
+        ("np.full(3, np.nan)", "action of snap = [nan, nan, nan]: 3 finite numbers are needed"),
+        ("'left'", "action of snap = 'left': 3 finite numbers are needed"),
+    ],
+)
+def test_what_are_no_actions_is_blamed_on_the_policy(folder, capsys, push, says):
+    (folder / "fragile.py").write_text(FRAGILE.format(**SOUND | {"push": push}))
+    assert main(("run", "throw_and_catch", "--policy", "fragile.py:Fragile")) == 2
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last == f"impact: policy 'fragile.py:Fragile': {says}"
+
+
+def test_agents_that_are_left_out_are_blamed_on_the_policy(folder):
+    class Silent:
+        def reset(self, seed):
+            pass
+
+        def act(self, observations):
+            return {}
+
+    with pytest.raises(InputError, match="policy 'mine': actions must name every robot once, not so: crackle, snap"):
+        evaluate(["throw_and_catch"], {"mine": lambda scenario: Silent()}, episodes=1, progress=False)
+
+
 def test_own_policy_is_judged_as_its_equal_is(folder):
     labels = {"zero": "zero", "mine": lambda scenario: ZeroPolicy(parallel_env(scenario))}
     result = evaluate(["throw_and_catch"], labels, episodes=2, progress=False)

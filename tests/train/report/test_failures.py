@@ -57,6 +57,15 @@ def test_every_cause_is_a_row_and_every_picture_is_inside(tmp_path):
     assert "<b>mine" not in text
 
 
+def test_page_tells_who_searched(tmp_path):
+    put(tmp_path, RECORD)
+    assert "stand-in" not in write_failures(tmp_path)
+    put(tmp_path, RECORD | {"stand_in": {"expert.plan_anew": False}, "replayed": 18, "confirmed": 16})
+    text = write_failures(tmp_path)
+    assert "130 of 640 episodes of a stand-in with expert.plan_anew=False failed" in text
+    assert "played 18 of them again, or milder ones, and failed in 16" in text
+
+
 @pytest.mark.parametrize("name", ["../1.mp4", "page.html", "missing.png"])
 def test_picture_that_is_none_of_the_folders_is_refused(name, tmp_path):
     put(tmp_path, RECORD | {"map": name})
