@@ -92,8 +92,8 @@ def replay_search(name: str, played: Played, args: Args) -> tuple[int, int, int,
     with closing(Arena(case, "expert", SearchOptions(episodes=args.episodes).width, args.workers)) as arena:
         again = arena.play(played.places, played.seeds)
     failed, fails = ~played.success, ~again.success
-    counts = again.robustness != played.robustness, failed & fails, failed & ~fails, ~failed & fails
-    return tuple(int(np.sum(count)) for count in counts)  # type: ignore[return-value]
+    others = int(np.sum(again.robustness != played.robustness))
+    return others, int(np.sum(failed & fails)), int(np.sum(failed & ~fails)), int(np.sum(~failed & fails))
 
 
 def main(args: Args) -> None:
