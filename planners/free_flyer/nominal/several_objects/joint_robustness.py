@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import replace
@@ -19,9 +18,11 @@ from planners.free_flyer.nominal.several_objects.composition import compose_obje
 from planners.free_flyer.nominal.several_objects.giving_way import give_way
 from planners.free_flyer.nominal.several_objects.sequence_search import (
     lengthen_words,
+    list_neighbours,
     restrict_to_object,
     search_words,
 )
+from planners.free_flyer.nominal.several_objects.settled_word import settle_words
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import read_demands
@@ -52,12 +53,15 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
         progress.about, progress.robustness = f"{name} alone", None
         most = max_impacts if options.few is None else min(max_impacts, options.few)
         optimum = maximise_robustness(own, most, budget, replace(options, expected=None))
+        if options.thorough:
+            optimum = _prefer_small(optimum, options.search.nearly)
         rho, pieces = min(rho, optimum.rho), max(pieces, optimum.size.pieces)
         alone[name] = own, optimum
     progress.about, progress.robustness, progress.bound = "all objects", None, ceiling * task.frame.length
     numbers = {name: optimum.size.impacts for name, (_, optimum) in alone.items()}
     large = options.thorough and is_large(task, numbers, pieces, options)
-    if large:
+    done = options.simple is False  # what is simple was tried before
+    if large and not done:
         composed = _compose(task, numbers, max_impacts, pieces, (rho, ceiling), budget, options)
         if composed is not None:
             return composed
@@ -67,27 +71,31 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
         events = optimum.events
         if events is None or options.thorough:
             # Where this takes long, its events are as good a start as any.
-            limit = budget.left if events is None or not options.thorough else budget.left / 8
+            limit = budget.left if events is None or not options.thorough else budget.left / 16
             with suppress(PlanningError) if events is not None and options.thorough else nullcontext():
                 events = minimise_path_cost(own, optimum.size, optimum.rho, options.cost, limit)
         assert events is not None
         hits += zip(events.sequence.times[1:-1], events.sequence.hitters, strict=True)
         ways[name] = events.sequence.paths[name]
     seed = tuple(hitter for _, hitter in sorted(hits))
-    if len(seed) <= max_impacts:
+    if len(seed) <= max_impacts and not done:
         size = GridSize(len(seed), pieces)
         share = 4 if options.thorough else 2
-        end = budget.elapsed + 0.4 * budget.left if options.thorough else math.inf
         lost = options.search.lost if options.thorough else None
-        left = lambda: min(budget.left / share, end - budget.elapsed)  # noqa: E731 - the clock of this search
-        found = search_words(task, size, options.joint * rho, seed, left, options, lost)
+        found = search_words(task, size, options.joint * rho, seed, lambda: budget.left / share, options, lost)
         if found.words:
             return RobustnessOptimum(size, rho, ceiling, found.words, found.bound)
     if options.thorough:
-        composed = None if large else _compose(task, numbers, max_impacts, pieces, (rho, ceiling), budget, options)
-        composed = composed or _give_way(task, ways, max_impacts, pieces, (rho, ceiling), budget, options)
+        composed = (
+            None if large or done else _compose(task, numbers, max_impacts, pieces, (rho, ceiling), budget, options)
+        )
+        if composed is None and not done and len(seed) <= max_impacts:
+            composed = _settle(task, seed, pieces, (rho, ceiling), budget, options)
+        if composed is None and not options.simple:
+            composed = _give_way(task, ways, max_impacts, pieces, (rho, ceiling), budget, options)
         if composed is not None:
             return composed
+    if options.thorough and not options.simple:
         longer = _find_longer(task, max_impacts, (rho, ceiling), max(pieces, MANY), seed, budget, options)
         if longer is not None:
             return longer
@@ -101,6 +109,12 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
         raise SolverFailed(f"plan of {task.scenario.name}", status, "allow more impacts")
     fewest = len(seed) if options.expected is None else min(len(seed), options.expected)
     return maximise_robustness(task, max_impacts, budget, options, fewest)
+
+
+def _prefer_small(optimum: RobustnessOptimum, share: float) -> RobustnessOptimum:
+    """Return the optimum of the smallest grid that attains a share of the greatest robustness."""
+    near = [one for one in (optimum, *optimum.fewer) if one.rho >= share * optimum.rho]
+    return min(near, key=lambda one: (one.size.impacts + 1) * one.size.pieces)
 
 
 def _compose(
@@ -128,6 +142,19 @@ def _compose(
         if found is not None:
             return RobustnessOptimum(GridSize(len(found.grid.hits), pieces), found.rho, rho[1], found=found)
     return None
+
+
+def _settle(
+    task: NominalTask, seed: Word, pieces: int, rho: tuple[float, float], budget: Budget, options: PlanOptions
+) -> RobustnessOptimum | None:
+    """Return the optimum of the seed or of a word near it, whatever its path cost; None: none was found."""
+    part = budget.share(0.8 * budget.left)
+    kept = max(options.least, options.compose.shares[-1] * rho[0]), rho[1]
+    words = list(dict.fromkeys([seed, *list_neighbours(task.scenario, seed)]))[: options.search.settled]
+    found = settle_words(task, words, pieces, kept, lambda: part.left, options)
+    if found is None:
+        return None
+    return RobustnessOptimum(GridSize(len(seed), pieces), found.rho, rho[1], found=found)
 
 
 def _give_way(
