@@ -150,6 +150,8 @@ def _plan_task(
         enough = options.enough * (1.0 if options.thorough else 0.5**attempt.halvings)
         few = options.few if attempt.few else None
         tried = replace(options, pieces=attempt.pieces, enough=enough, few=few, simple=attempt.simple)
+        if options.thorough and (attempt.brisk or attempt.halvings):
+            tried = replace(tried, enough_alone=options.enough_less)
         climber = _Climber(attempt.cut_reserves(task, options), max_impacts, budget, tried, hurry=best is not None)
         try:
             plan = climber.climb()

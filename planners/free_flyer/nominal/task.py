@@ -130,11 +130,12 @@ class WordSearchOptions:
         word_nodes: of branch and bound in each solution for one sequence, where objects can be moved one after another
             instead.
         word_pauses: of the solver in each of them where objects are moved in a simple way alone, for heuristics take
-            long and count no nodes; the shipped scenarios need at most 30. Where these do not suffice, that search ends.
+            long and count no nodes; the shipped scenarios need 30 at most. Where they do not suffice, it ends.
         nearly: share of the robustness that an object attains alone from which on fewer impacts or pieces do, for the
             models of all objects grow with both.
         settled: number of sequences of which any point is sought, where that of least cost was not found.
         settled_nodes: of branch and bound in each solution for these.
+        settling_time: share of the time left that all of these take.
         work: that the search may take then; the shipped scenarios take a quarter to a half of it [units of `Work`].
         improve: whether to look on after the first sequence that has a plan, and to bound the cost.
         longest: time for one sequence of more impacts than the objects need one by one [s].
@@ -158,6 +159,7 @@ class WordSearchOptions:
     nearly: float = 0.9
     settled: int = 10
     settled_nodes: int = 150
+    settling_time: float = 0.8
     work: float = 5e4
     improve: bool = True
     longest: float = 6.0
@@ -199,6 +201,9 @@ class PlanOptions:
         least: robustness below which a task counts as having no plan [m].
         enough: share of the bound of the robustness above which no other number of impacts is tried; half of it once
             a plan has failed, if not thorough.
+        enough_alone: the same for every one of several objects alone; with less than all reserves `enough_less`, for
+            sequences of all objects grow with each of their impacts.
+        enough_less: see there.
         deep: share of the bound of the robustness below which half the margin of speed is tried, too: a plan that is
             hardly inside its areas fails by small errors of direction, one with fast legs can still wait a little.
         deeper: factor by which the robustness has to grow for that.
@@ -244,6 +249,8 @@ class PlanOptions:
 
     least: float = 1e-3
     enough: float = 1.0
+    enough_alone: float = 1.0
+    enough_less: float = 0.3
     deep: float = 0.6
     deeper: float = 1.5
     robustness_gap: float = 1e-6
