@@ -230,8 +230,8 @@ def _list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tri
         if trials and trials[-1].rho is None:
             if options.thorough and attempt.is_slow(task):
                 yield from _skip_proven(replace(attempt, brisk=True), trials)
-            for pieces in first:
-                yield from _skip_proven(replace(attempt, pieces=(pieces,)), trials)
+            for number in first:
+                yield from _skip_proven(replace(attempt, pieces=(number,)), trials)
     if all(trial.rho is None for trial in trials):
         rest = [(pieces,) for pieces in more if pieces not in first]
         for halvings, pieces in itertools.product(range(options.halvings + 1), rest):
