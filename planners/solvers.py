@@ -36,11 +36,14 @@ class Limits:
         seconds: wall time [s].
         relative_gap: (objective - bound) / |objective| at which the proof is complete; infinite: at the first point.
         nodes: of branch and bound; 0 solves the linear relaxation alone; None: any number.
+        pauses: at which the solver may be interrupted, heuristics included, the same on every machine; only HiGHS
+            counts them. None: any number.
     """
 
     seconds: float
     relative_gap: float
     nodes: int | None = None
+    pauses: int | None = None
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,7 @@ def solve(
     squares: Squares = (),
     work: Work | None = None,
     nodes: int | None = None,
+    pauses: int | None = None,
 ) -> Solution:
     r"""Minimise a mixed-integer model with linear rows: objective + sum_i w_i e_i(x)^2.
 
@@ -118,6 +122,7 @@ def solve(
         squares: pairs (w_i, e_i) of a weight >= 0 and an expression; not for HiGHS.
         work: counts this solution and limits its nodes; of HiGHS alone it is the same on every machine.
         nodes: of branch and bound, above which the best point so far is returned; None: as many as the work allows.
+        pauses: of the solver, with the same effect, see `Limits`.
 
     Returns:
         The best point and the proven bound.
@@ -129,7 +134,8 @@ def solve(
         OutOfWork: no more work is allowed.
     """
     limits = [count for count in (nodes, work.nodes if work else None) if count is not None]
-    outcome = _run(model, Limits(time_limit, relative_gap, min(limits, default=None)), solver, squares, work)
+    bounds = Limits(time_limit, relative_gap, min(limits, default=None), pauses)
+    outcome = _run(model, bounds, solver, squares, work)
     if outcome.x is None:
         status = f"{SOLVERS[solver].title}: {outcome.status}, no solution found"
         raise SolverFailed(model.name, status, "raise the time limit")
@@ -190,7 +196,7 @@ def _run_highs(model: Model, limits: Limits, squares: Squares) -> Outcome:
     for option, value in options.items():
         solver.setOptionValue(option, value)
     solver.passModel(_make_highs_problem(model))
-    _run_by_clock(solver, max(limits.seconds, SHORTEST))
+    _run_by_clock(solver, max(limits.seconds, SHORTEST), limits.pauses)
     status, text = solver.getModelStatus(), solver.modelStatusToString(solver.getModelStatus()).lower()
     info = solver.getInfo()
     iterations = max(info.simplex_iteration_count, 0)
@@ -205,19 +211,23 @@ def _run_highs(model: Model, limits: Limits, squares: Squares) -> Outcome:
     return Outcome(text, x, info.objective_function_value, bound, iterations=iterations)
 
 
-def _run_by_clock(solver: highspy.Highs, seconds: float) -> None:
+def _run_by_clock(solver: highspy.Highs, seconds: float, most: int | None) -> None:
     """Solve until the clock of limits says that it is over; asking it also lets Python see a Ctrl-C.
 
     Args:
         solver: with its problem.
         seconds: limit [s].
+        most: pauses, see `Limits`.
     """
+    pauses = 0
     clock, end = get_clock(), read_clock() + seconds
     if clock.read is time.perf_counter:
         solver.setOptionValue("time_limit", seconds)  # searches within its search know of this limit alone
 
     def look_at_clock(kind: Any, message: str, out: Any, answer: Any, data: Any) -> None:
-        if clock.stopped or clock.read() > end:
+        nonlocal pauses
+        pauses += 1
+        if (most is not None and pauses > most) or clock.stopped or clock.read() > end:
             answer.user_interrupt = True
 
     solver.setCallback(look_at_clock, None)

@@ -22,12 +22,14 @@ class SmoothingOptions:
             which it is small, such as their own impact [m/s].
         slack_weights: prices of violated rows; each is for what the one before it leaves violated.
         rounds: greatest number of programs at each price; each one takes the sides of bodies from the one before.
+        segments: mean lengths of a curve's segments, tried in turn where motions fail [s].
     """
 
     jerk_weight: float = 1.0
     parting_speed: float = 0.03
     slack_weights: tuple[float, ...] = (1e3, 1e5)
     rounds: int = 8
+    segments: tuple[float, ...] = (3.0,)
 
 
 class SplineRows:

@@ -24,3 +24,9 @@ def test_every_scenario_of_robots_alone_is_one(load_benchmark):
     for name in benchmark.TASKS:
         scenario = benchmark.make_scenario(name)
         assert scenario.specification.horizon <= scenario.horizon
+
+
+def test_a_corner_is_passed_between_the_segments_of_a_motion(load_benchmark):
+    """Segments of 3 s leave no time at which both faces of the wall are kept; shorter ones do."""
+    row = load_benchmark("robots_only").plan_scenario("reach_avoid", 60.0)
+    assert row.robustness == pytest.approx(row.bound, abs=1e-5)

@@ -15,6 +15,8 @@ class Attempt:
         pieces: numbers of pieces per leg.
         halvings: how often the reserves are halved.
         few: whether only few impacts of each object are tried.
+        simple: whether several objects are only moved as each would be alone, or one after another; None: that and
+            all that takes longer; False: what takes longer alone.
         brisk: whether robots may take longer to reach the speed of a leg, so that legs are faster.
     """
 
@@ -22,6 +24,7 @@ class Attempt:
     halvings: int = 0
     few: bool = False
     brisk: bool = False
+    simple: bool | None = None
 
     def cut_reserves(self, task: NominalTask, options: PlanOptions) -> NominalTask:
         """Return the task with the reserves of this attempt.
@@ -58,4 +61,4 @@ class Attempt:
 
     def may_improve(self, several: bool) -> bool:
         """Return whether it is worth the time where there is a plan of less robustness than impacts have."""
-        return not self.brisk and len(self.pieces) > 1 and self.few == several
+        return not self.brisk and len(self.pieces) > 1 and self.few == several and self.simple is not False

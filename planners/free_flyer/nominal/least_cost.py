@@ -18,7 +18,7 @@ from planners.free_flyer.nominal.task import CostOptions, NominalTask, Wish
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import Requirement
 from planners.free_flyer.specification.selection import Choices
-from planners.mixed_integer import Affine, Model, evaluate
+from planners.mixed_integer import Affine, Model, Solution, evaluate
 from planners.path_cost import PieceCost, add_path_cost, compute_path_cost, measure_path_cost
 from planners.solvers import compute_lower_bound, solve
 
@@ -139,6 +139,7 @@ class CostProblem:
         deadline: of the clock of limits, for all of them [s].
         bound: of the cost, proven so far [m^2/s].
         nodes: of branch and bound in each solution; None: any number.
+        pauses: of the solver in each solution, which is then given up if it is not proven; None: any number.
     """
 
     task: NominalTask
@@ -150,6 +151,7 @@ class CostProblem:
     deadline: float = np.inf
     bound: float = 0.0
     nodes: int | None = None
+    pauses: int | None = None
 
     def relax(self, nodes: int = 0) -> tuple[float, np.ndarray | None]:
         """Return a lower bound of the cost from the rows added so far, see `compute_lower_bound`."""
@@ -192,16 +194,26 @@ class CostProblem:
             raise SolverFailed(self.grid.model.name, "time limit reached", "raise the time limit")
         return min(self.time_limit, left)
 
+    def _solve_model(self, gap: float) -> Solution:
+        """Return the solution of the grid's model; where pauses are limited, only a proven one.
+
+        Raises:
+            Infeasible: there is none.
+            SolverFailed: the limits do not suffice.
+        """
+        task, limit = self.task, self._find_time_left()
+        found = solve(self.grid.model, limit, gap, task.solver, (), task.work, self.nodes, self.pauses)
+        if self.pauses is not None and found.objective - found.bound > 1.01 * gap * abs(found.objective) + NOISE:
+            raise SolverFailed(self.grid.model.name, "its least cost is not proven", "raise the limits")
+        return found
+
     def _solve_round(self, gap: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the exact optimum for the integers of the relaxation, and the relaxation's, each shape (n,)."""
         relaxed = np.empty(0)
 
         def solve_once() -> np.ndarray:
             nonlocal relaxed
-            task = self.task
-            found = solve(
-                self.grid.model, self._find_time_left(), gap / 2, task.solver, work=task.work, nodes=self.nodes
-            )
+            found = self._solve_model(gap / 2)
             self.bound, relaxed = max(self.bound, found.bound), found.x
             return solve_cones(self.grid.model, relaxed, self.costs)
 
@@ -221,8 +233,7 @@ class CostProblem:
         model.objective = sum((part.cost * w for part, w in zip(self.costs, weights, strict=True)), Affine({}))
 
         def solve_bent() -> np.ndarray:
-            task, gap = self.task, self.options.straightening_gap
-            return solve(model, self._find_time_left(), gap, task.solver, work=task.work, nodes=self.nodes).x
+            return self._solve_model(self.options.straightening_gap).x
 
         x = solve_apart(grid, self.task.scenario, self.task.reserves, solve_bent)
         model.objective = cost

@@ -148,7 +148,10 @@ def _plan_task(
         if best is not None and not attempt.may_improve(several=len(scenario.objects) > 1):
             continue
         enough = options.enough * (1.0 if options.thorough else 0.5**attempt.halvings)
-        tried = replace(options, pieces=attempt.pieces, enough=enough, few=options.few if attempt.few else None)
+        few = options.few if attempt.few else None
+        tried = replace(options, pieces=attempt.pieces, enough=enough, few=few, simple=attempt.simple)
+        if options.thorough and (attempt.brisk or attempt.halvings):
+            tried = replace(tried, enough_alone=options.enough_less)
         climber = _Climber(attempt.cut_reserves(task, options), max_impacts, budget, tried, hurry=best is not None)
         try:
             plan = climber.climb()
@@ -209,7 +212,9 @@ def _list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tri
     """Yield the attempts in the order in which they are made.
 
     Several objects are first tried with few impacts and each of the reserves: to exclude all the other numbers takes
-    long where the reserves leave no room. Where the event grid has no plan, robots whose thrust limits their legs may
+    long where the reserves leave no room. Of these attempts those come first in which objects are moved as each would
+    be alone, or one after another: that takes seconds, and less reserves often suffice where longer sequences would
+    have to be searched with all of them. Where the event grid has no plan, robots whose thrust limits their legs may
     take longer to become faster. Legs get more pieces where it has no plan without: first as many as the shortest ways
     round obstacles have, with each of the reserves; when these have failed as well, all other numbers.
     """
@@ -218,18 +223,28 @@ def _list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tri
     first = [pieces for pieces in more if needed is not None and needed <= pieces <= needed + 1]
     first = first if needed is not None and needed > max(options.pieces) else []
     several = options.thorough and options.few is not None and len(task.scenario.objects) > 1
-    for few, halvings in itertools.product((True, False) if several else (False,), range(options.halvings + 1)):
-        attempt = Attempt(options.pieces, halvings, few)
-        yield attempt
+    kinds = [(True, True), (True, False), (False, None)] if several else [(False, None)]
+    for (few, simple), halvings in itertools.product(kinds, range(options.halvings + 1)):
+        attempt = Attempt(options.pieces, halvings, few, simple=simple)
+        yield from _skip_proven(attempt, trials)
         if trials and trials[-1].rho is None:
             if options.thorough and attempt.is_slow(task):
-                yield replace(attempt, brisk=True)
-            yield from (replace(attempt, pieces=(pieces,)) for pieces in first)
+                yield from _skip_proven(replace(attempt, brisk=True), trials)
+            for number in first:
+                yield from _skip_proven(replace(attempt, pieces=(number,)), trials)
     if all(trial.rho is None for trial in trials):
         rest = [(pieces,) for pieces in more if pieces not in first]
         for halvings, pieces in itertools.product(range(options.halvings + 1), rest):
             attempt = Attempt(pieces, halvings)
             yield from (attempt, replace(attempt, brisk=True)) if attempt.is_slow(task) else (attempt,)
+
+
+def _skip_proven(attempt: Attempt, trials: Sequence[Trial]) -> Iterator[Attempt]:
+    """Yield the attempt, unless some object has no plan even alone: what takes longer does not change that."""
+    before = replace(attempt, simple=True)
+    known = [trial for trial in trials if trial.attempt == before and isinstance(trial.error, Infeasible)]
+    if attempt.simple is not False or not known:
+        yield attempt
 
 
 @dataclass
@@ -267,8 +282,7 @@ class _Climber:
         search = maximise_robustness if len(task.scenario.objects) == 1 else maximise_jointly
         with budget.stage("robustness"):
             # An attempt leaves time for the next one.
-            share = options.attempt_share if len(task.scenario.objects) == 1 else options.joint_share
-            part = budget.share(budget.left * share)
+            part = budget.share(self._find_time_to_search())
             optimum = search(task, self.max_impacts, part, options)
             self.rho = optimum.rho
             quick = None if optimum.found else quicken_legs(task, optimum, search, part, options)
@@ -281,6 +295,15 @@ class _Climber:
         # The search was interrupted; its impacts are worth a few seconds more.
         with use_clock(Clock(clock.read)):
             return plan_events(task, optimum, [], budget.share(options.haste), replace(options, thorough=False))
+
+    def _find_time_to_search(self) -> float:
+        """Return how long this attempt may look for impacts [s]."""
+        options, left = self.options, self.budget.left
+        if len(self.task.scenario.objects) == 1:
+            return options.attempt_share * left
+        if options.simple and left > options.kept * self.budget.limit:
+            return options.simple_share * (left - options.kept * self.budget.limit)
+        return options.joint_share * left
 
     def _finish(self, optimum: RobustnessOptimum, quick: tuple[NominalTask, RobustnessOptimum] | None) -> Plan:
         """Return a plan with the impacts that were found."""

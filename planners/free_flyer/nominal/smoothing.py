@@ -25,6 +25,7 @@ from planners.quintic_spline import DEGREE, Breakpoint, QuinticSpline, build_qui
 from planners.spline_rows import SmoothingOptions, SplineRows, find_sides
 
 AREA_TOLERANCE = 1e-6  # by which areas may be left [m]
+FEWEST, MOST = 12.0, 42.0  # legs that are shorter or longer have as many segments as one of this length [s]
 SHORTEST = 0.099  # segment between a breakpoint and the end of a window [s]
 COST_SCALE = 100.0  # accelerations are some 0.01 m/s^2
 
@@ -58,7 +59,8 @@ def smooth_motions(
 
     Every segment's duration is a number, so velocities, accelerations and differences between bodies are
     linear in the control points, and half-spaces on control points hold at all times. What is not convex
-    (on which side to pass a body) is taken from the previous round, in the first one from the event grid.
+    (on which side to pass a body) is taken from the previous round, in the first one from the event grid. A robot
+    passes a corner where two segments meet, so shorter segments leave it more choice of when.
 
     Args:
         scenario: limits, radii, starts and goals.
@@ -77,7 +79,24 @@ def smooth_motions(
         Infeasible: some distance, area or limit cannot be kept.
         OutOfWork: no more work is allowed.
     """
-    problem = _build_problem(scenario, sequence, impacts, tuple(needs), rho, reserves, options, work)
+    failure: Infeasible | None = None
+    for longest in options.segments:
+        problem = _build_problem(scenario, sequence, impacts, tuple(needs), rho, reserves, longest, options, work)
+        try:
+            return _solve_rounds(problem)
+        except Infeasible as error:
+            failure = failure or error
+    assert failure is not None
+    raise failure
+
+
+def _solve_rounds(problem: _Problem) -> dict[str, Curve]:
+    """Return the curves of the last of some rounds.
+
+    Raises:
+        Infeasible: some distance, area or limit cannot be kept.
+    """
+    scenario, reserves, options = problem.scenario, problem.reserves, problem.options
     points = {name: _interpolate_knots(problem, name) for name in scenario.robots}
     # Clearance is a reserve of which half may be spent here; the check of the plan knows what bodies really need.
     allowed = {"area": AREA_TOLERANCE, "clearance": 0.5 * reserves.clearance}
@@ -103,11 +122,12 @@ def _build_problem(
     needs: tuple[Requirement, ...],
     rho: float,
     reserves: Reserves,
+    longest: float,
     options: SmoothingOptions,
     work: Work | None,
 ) -> _Problem:
     windows = [t for need in needs if scenario.robots.keys() & need.bodies for t in (need.start, need.end)]
-    times = _make_breakpoints(sequence.times, windows)
+    times = _make_breakpoints(sequence.times, windows, longest)
     splines = {name: _make_spline(scenario, times, impacts, name) for name in scenario.robots}
     moments = next(iter(splines.values())).greville()
     object_points = {
@@ -117,11 +137,18 @@ def _build_problem(
     return _Problem(scenario, sequence, impacts, needs, rho, reserves, options, times, splines, object_points, work)
 
 
-def _make_breakpoints(events: np.ndarray, windows: Sequence[float]) -> np.ndarray:
-    """Return breakpoints, dense near events, where velocities change; ends of windows replace breakpoints near them."""
+def _make_breakpoints(events: np.ndarray, windows: Sequence[float], longest: float) -> np.ndarray:
+    """Return breakpoints, dense near events, where velocities change; ends of windows replace breakpoints near them.
+
+    Args:
+        events: times of impacts, and both ends [s].
+        windows: ends of windows of the formula [s].
+        longest: mean length of segments on legs that are neither short nor long [s].
+    """
     times = [0.0]
     for start, end in itertools.pairwise(events):
-        count = int(np.clip(np.ceil((end - start) / 3.0), 4, 14))
+        # The numbers of a short and of a long leg grow as the others do.
+        count = int(np.clip(np.ceil((end - start) / longest), round(FEWEST / longest), round(MOST / longest)))
         times += [*(start + (end - start) * (1 - np.cos(np.pi * np.arange(1, count) / count)) / 2), end]
     fixed = list(events)
     for time in sorted(set(windows)):

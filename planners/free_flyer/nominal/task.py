@@ -124,10 +124,18 @@ class WordSearchOptions:
         weight: of objects' costs while their flights are still bent.
         nodes: of the search over all sequences that bounds the cost, where there are few binaries of hits.
         few: greatest number of such binaries; with more, the linear relaxation alone is the bound.
+        rows: greatest number of rows of that model; with more, each node takes so long that the words go short of time.
         evaluations: greatest number of sequences tried.
         lost: greatest number of sequences tried while none has a plan, before objects are moved one after another.
         word_nodes: of branch and bound in each solution for one sequence, where objects can be moved one after another
             instead.
+        word_pauses: of the solver in each of them where objects are moved in a simple way alone, for heuristics take
+            long and count no nodes; the shipped scenarios need 30 at most. Where they do not suffice, it ends.
+        nearly: share of the robustness that an object attains alone from which on fewer impacts or pieces do, for the
+            models of all objects grow with both.
+        settled: number of sequences of which any point is sought, where that of least cost was not found.
+        settled_nodes: of branch and bound in each solution for these.
+        settling_time: share of the time left that all of these take.
         work: that the search may take then; the shipped scenarios take a quarter to a half of it [units of `Work`].
         improve: whether to look on after the first sequence that has a plan, and to bound the cost.
         longest: time for one sequence of more impacts than the objects need one by one [s].
@@ -143,9 +151,15 @@ class WordSearchOptions:
     weight: float = 3.0
     nodes: int = 300
     few: int = 24
+    rows: int = 2000
     evaluations: int = 60
     lost: int = 2
     word_nodes: int = 500
+    word_pauses: int = 40
+    nearly: float = 0.9
+    settled: int = 10
+    settled_nodes: int = 150
+    settling_time: float = 0.8
     work: float = 5e4
     improve: bool = True
     longest: float = 6.0
@@ -187,6 +201,9 @@ class PlanOptions:
         least: robustness below which a task counts as having no plan [m].
         enough: share of the bound of the robustness above which no other number of impacts is tried; half of it once
             a plan has failed, if not thorough.
+        enough_alone: the same for every one of several objects alone; with less than all reserves `enough_less`, for
+            sequences of all objects grow with each of their impacts.
+        enough_less: see there.
         deep: share of the bound of the robustness below which half the margin of speed is tried, too: a plan that is
             hardly inside its areas fails by small errors of direction, one with fast legs can still wait a little.
         deeper: factor by which the robustness has to grow for that.
@@ -195,6 +212,8 @@ class PlanOptions:
         most_pieces: greatest number of pieces per leg, where there is no plan with those.
         attempt_share: share of the time left that one attempt to find impacts may take, with one object.
         joint_share: the same with several objects.
+        simple_share: the same for attempts in which they are only moved as each would be alone, or one after another.
+        kept: share of all time that these leave to those that take longer.
         patience: factors of the least times of hasty legs, tried in turn when motions prove too quick to be smoothed.
         less: shares of the robustness that are kept then, in turn.
         satisfying: share of the robustness of the impacts from which on a plan with less is good enough, and reserves
@@ -202,6 +221,8 @@ class PlanOptions:
         joint: share of their robustness that several objects keep when their flights are straightened.
         thrust: share of the thrust that smooth motions may use; None: that of the reserves.
         few: impacts of every one of several objects that are tried first, with each of the reserves; None: all are.
+        simple: whether several objects are only moved as each would be alone, or one after another; None: that and
+            all that takes longer; False: what takes longer alone.
         expected: number of impacts to try first, then one more, then fewer, and none with more; None: count up from the
             fewest.
         screen: whether it is told first, with each of the reserves, where there is no plan, see `screen_task`.
@@ -228,6 +249,8 @@ class PlanOptions:
 
     least: float = 1e-3
     enough: float = 1.0
+    enough_alone: float = 1.0
+    enough_less: float = 0.3
     deep: float = 0.6
     deeper: float = 1.5
     robustness_gap: float = 1e-6
@@ -235,12 +258,15 @@ class PlanOptions:
     most_pieces: int = 6
     attempt_share: float = 0.35
     joint_share: float = 0.45
+    simple_share: float = 0.5
+    kept: float = 0.2
     patience: tuple[float, ...] = (1.05, 1.2, 1.5, 2.0)
     less: tuple[float, ...] = (1.0, 0.85, 0.7, 0.5, 0.3)
     satisfying: float = 0.9
     joint: float = 1.0
     thrust: float | None = None
     few: int | None = 3
+    simple: bool | None = None
     expected: int | None = None
     screen: bool = False
     many_impacts: int = 3
@@ -257,7 +283,7 @@ class PlanOptions:
     cost: CostOptions = field(default_factory=CostOptions)
     search: WordSearchOptions = field(default_factory=WordSearchOptions)
     compose: CompositionOptions = field(default_factory=CompositionOptions)
-    smoothing: SmoothingOptions = field(default_factory=SmoothingOptions)
+    smoothing: SmoothingOptions = field(default_factory=lambda: SmoothingOptions(segments=(3.0, 1.5)))
 
     def order_numbers(self, fewest: int, most: int) -> list[int]:
         """Return the numbers of impacts in the order in which they are tried."""

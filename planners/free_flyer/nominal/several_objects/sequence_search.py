@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import Always, And, Formula
-from planners.errors import Infeasible, PlanningError
+from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.event_sequence import Word
 from planners.free_flyer.nominal.least_cost import CostOptimum, build_cost_problem, read_word
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions, Wish
@@ -104,6 +104,8 @@ def search_words(
         if search.is_out_of_work:
             break
         best = min(starts, key=search.measure)
+        if search.is_out_of_work and search.costs[best] == math.inf:
+            break
         if options.search.improve or search.costs[best] == math.inf:
             search.descend(best, bound)
         costs = search.costs
@@ -163,6 +165,7 @@ class _Search:
     Args:
         most_work: total work at which the search ends [units of `Work`].
         most_lost: greatest number of words while none has a plan.
+        stuck: whether a word could not be decided within the limits of its solution.
     """
 
     task: NominalTask
@@ -175,10 +178,13 @@ class _Search:
     events: dict[Word, CostOptimum] = field(default_factory=dict)
     most_work: float = math.inf
     most_lost: int = 60
+    stuck: bool = False
 
     @property
     def is_out_of_work(self) -> bool:
-        """Return whether the work of the search is done."""
+        """Return whether the work of the search is done, or so much is needed for a word that it will not suffice."""
+        if self.stuck and self.options.simple:
+            return True
         return self.task.work is not None and self.task.work.done > self.most_work
 
     def measure(self, word: Word, best: float = math.inf) -> float:
@@ -192,7 +198,7 @@ class _Search:
         options, improving = self.options.search, True
         while improving and self.costs[best] > (1.0 + options.gap) * bound:
             improving = False
-            for word in _list_neighbours(self.task.scenario, best):
+            for word in list_neighbours(self.task.scenario, best):
                 most = options.evaluations if self.costs[best] < math.inf else self.most_lost
                 if len(self.costs) >= most or self.find_time_left() <= 0.0 or self.is_out_of_work:
                     break
@@ -206,15 +212,25 @@ class _Search:
         try:
             problem = build_cost_problem(self.task, self.size, self.rho, self.wish, cost, limit, word)
             problem.nodes = options.word_nodes if self.options.thorough else None
+            problem.pauses = options.word_pauses if self.options.simple else None
             if problem.relax()[0] >= (1.0 - options.gap) * best:
                 return math.inf
             self.events[word] = problem.solve(options.weight, options.gap)
             return self.events[word].cost
+        except SolverFailed:
+            self.stuck = True
         except PlanningError:
-            return math.inf
+            pass
+        return math.inf
 
 
-def _list_neighbours(scenario: FreeFlyerScenario, word: Word) -> Iterator[Word]:
+def list_neighbours(scenario: FreeFlyerScenario, word: Word) -> Iterator[Word]:
+    """Yield the words with two neighbouring impacts on different objects exchanged, or another robot for one impact.
+
+    Args:
+        scenario: its robots.
+        word: who hits what.
+    """
     for k, (first, second) in enumerate(itertools.pairwise(word)):
         if first[1] != second[1]:
             yield (*word[:k], second, first, *word[k + 2 :])
@@ -232,7 +248,8 @@ def _bound_cost(
     cost = replace(options.cost, tangents=2 * search.tangents)
     try:
         problem = build_cost_problem(task, size, rho, wish, cost, time_limit)
-        nodes = search.nodes if sum(len(hits) for hits in problem.grid.hits) <= search.few else 0
+        few = sum(len(hits) for hits in problem.grid.hits) <= search.few
+        nodes = search.nodes if few and len(problem.grid.model.inequalities) <= search.rows else 0
         bound, point = problem.relax(nodes)
     except Infeasible:
         return math.inf, None
