@@ -41,6 +41,8 @@ class Command:
     """Most impacts a plan may have; 6 for one object and 3 for every further one without."""
     time_limit: float = 60.0
     """Limit of the solvers [s]."""
+    proof: float = 0.0
+    """With several objects: so much time more for a closer bound of the path cost; the plan stays the same [s]."""
     time_grid: int | None = None
     """impact_uncertainty only: plan on so many equal segments of time, with zonotope hulls."""
     relax: bool = False
@@ -87,6 +89,8 @@ class Command:
             options["max_impacts"] = self.max_impacts
         if self.time_grid is not None:
             options["time_grid"] = self.time_grid
+        if self.proof:
+            options["proof"] = self.proof
         if self.relax:
             return self._plan_relaxed(scenario, options)
         with stop_on_interrupt() as clock:
@@ -106,6 +110,8 @@ class Command:
             check_picture_path(self.plot)
         if self.rename and self.check is None:
             raise InputError(f"--rename {' '.join(self.rename)} needs --check DIR, a folder of published plan files")
+        if self.proof and (self.objective != "robustness" or self.encoding != "events" or self.relax):
+            raise InputError(f"--proof {self.proof:g}: is for --objective robustness with --encoding events, unrelaxed")
         if self.time_grid is not None and self.objective != "impact_uncertainty":
             raise InputError(f"--time-grid {self.time_grid} needs --objective impact_uncertainty, got {self.objective}")
         if self.weights and not self.relax:

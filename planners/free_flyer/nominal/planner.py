@@ -45,6 +45,7 @@ def make_free_flyer_plan(
     reserves: Reserves = Reserves(),  # noqa: B008 - frozen
     options: PlanOptions = PlanOptions(),  # noqa: B008 - frozen
     work: Work | None = None,
+    proof: float = 0.0,
 ) -> Plan:
     """Plan by lexicographic optimisation: robustness, number of impacts, path cost; then smooth and check.
 
@@ -60,6 +61,7 @@ def make_free_flyer_plan(
         reserves: speed, time and distance kept in hand for the execution.
         options: how far the plan is improved, and what of it is proven.
         work: that is counted and limited, if any is.
+        proof: more time, for a closer bound of the path cost of several objects; the plan stays the same [s].
 
     Returns:
         A plan that the independent simulation has confirmed.
@@ -74,8 +76,10 @@ def make_free_flyer_plan(
     """
     if max_impacts is None:
         max_impacts = 3 + 3 * len(scenario.objects)
-    _check_arguments(scenario, max_impacts, time_limit)
+    _check_arguments(scenario, max_impacts, time_limit, proof)
     check_solver(solver)
+    if proof:
+        options, time_limit = replace(options, search=replace(options.search, proof=proof)), time_limit + proof
     read_demands(scenario, reserves.wall)  # formulas are refused in the user's words
     scenario = scenario.model_copy(update={"weights": ()})  # nothing is given up, and sub-tasks have other conjuncts
     frame = find_frame(scenario)
@@ -413,10 +417,14 @@ def _try_remedy(task: NominalTask, found: Sequence[Relaxation], max_impacts: int
     return True
 
 
-def _check_arguments(scenario: FreeFlyerScenario, max_impacts: int, time_limit: float) -> None:
+def _check_arguments(scenario: FreeFlyerScenario, max_impacts: int, time_limit: float, proof: float) -> None:
     if max_impacts < 0:
         raise InputError(f"max_impacts is {max_impacts}, it must not be negative")
     if not time_limit > 0:
         raise InputError(f"time_limit is {time_limit} s, it must be positive")
+    if not proof >= 0:
+        raise InputError(f"proof is {proof} s, it must not be negative")
+    if proof and len(scenario.objects) < 2:
+        raise InputError(f"proof is {proof} s: is for several objects; the path cost of one is proven without")
     if not scenario.objects:
         raise InputError(f"{scenario.name}: objects: this planner takes at least one, got none")

@@ -125,6 +125,7 @@ class WordSearchOptions:
         nodes: of the search over all sequences that bounds the cost, where there are few binaries of hits.
         few: greatest number of such binaries; with more, the linear relaxation alone is the bound.
         rows: greatest number of rows of that model; with more, each node takes so long that the words go short of time.
+        proof: time for that search, whatever it takes, once there are words with plans; 0: it is not made [s].
         evaluations: greatest number of sequences tried.
         lost: greatest number of sequences tried while none has a plan, before objects are moved one after another.
         word_nodes: of branch and bound in each solution for one sequence, where objects can be moved one after another
@@ -152,6 +153,7 @@ class WordSearchOptions:
     nodes: int = 300
     few: int = 24
     rows: int = 2000
+    proof: float = 0.0
     evaluations: int = 60
     lost: int = 2
     word_nodes: int = 500

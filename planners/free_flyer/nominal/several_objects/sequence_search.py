@@ -15,6 +15,8 @@ from planners.free_flyer.nominal.least_cost import CostOptimum, build_cost_probl
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions, Wish
 from planners.free_flyer.specification.grid import GridSize
 
+EVERY = 10**9  # more words, rows or nodes than any model has
+
 
 @dataclass(frozen=True)
 class FoundWords:
@@ -76,7 +78,7 @@ def search_words(
     than the best word is not solved. The search ends by its numbers of words and nodes, not by the clock, unless the
     time limit comes first; a thorough one by its work as well, for objects can be moved one after another. The bound
     is that of a search over all words at once, without distances between bodies; where there are many words, that of
-    its linear relaxation.
+    its linear relaxation, unless time is given to prove more.
 
     Args:
         task: what is asked.
@@ -112,6 +114,9 @@ def search_words(
         if min(costs.values()) < math.inf or search.is_out_of_work:
             break
     ranked = sorted((cost, word) for word, cost in costs.items() if math.isfinite(cost))
+    if ranked and options.search.proof > 0.0:
+        every = replace(options, search=replace(options.search, nodes=EVERY, few=EVERY, rows=EVERY))
+        bound = max(bound, _bound_cost(replace(task, work=None), size, rho, options.search.proof, every)[0])
     return FoundWords(tuple(word for _, word in ranked), bound)
 
 

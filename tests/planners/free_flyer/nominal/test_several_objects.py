@@ -3,11 +3,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import load_scenario
 from planners import make_plan
 from planners.free_flyer.nominal.event_sequence import own_events
 from planners.free_flyer.nominal.several_objects.sequence_search import restrict_to_object
+from planners.free_flyer.nominal.task import PlanOptions, WordSearchOptions
 from planners.plan import Plan
 from tests.frozen.freeze import get_plan
 
@@ -74,6 +76,22 @@ def test_exchange_is_within_a_tenth_of_the_bound_over_all_words() -> None:
     plan = _plan("exchange")
     assert plan.effort_bound is not None
     assert plan.effort <= 1.1 * plan.effort_bound
+
+
+def test_time_for_a_proof_brings_the_bound_closer_and_leaves_the_plan() -> None:
+    linear = PlanOptions(search=WordSearchOptions(few=0))
+    plan, proven = (make_plan("exchange", options=linear, proof=proof) for proof in (0.0, 30.0))
+    assert proven.effort == plan.effort
+    assert [impact.time for impact in proven.impacts] == [impact.time for impact in plan.impacts]
+    assert plan.effort_bound is not None
+    assert proven.effort_bound is not None
+    assert plan.effort_bound < 0.9 * plan.effort < proven.effort_bound <= plan.effort
+
+
+@pytest.mark.parametrize(("name", "proof"), [("pong", 10.0), ("exchange", -1.0)])
+def test_proofs_are_for_several_objects_and_take_time(name: str, proof: float) -> None:
+    with pytest.raises(InputError, match="proof is"):
+        make_plan(name, proof=proof)
 
 
 def test_scenario_of_one_object_keeps_what_the_formula_asks_of_it_and_the_robots() -> None:
