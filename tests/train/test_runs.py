@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -155,6 +156,18 @@ def test_a_sweep_that_makes_no_sense_is_one_line(
     line = capsys.readouterr().err
     assert said in line
     assert line.count("\n") == 1
+
+
+def test_without_optuna_one_line_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    monkeypatch.delitem(sys.modules, "train.search.proposal", raising=False)
+    arguments = ["sweep", "throw_and_catch", "--sample", "true.restitution=0.3,0.9", "--out", str(tmp_path / "out")]
+    assert main(arguments) == 2
+    said = "impact: optuna is not installed: pip install 'impact-envs[plan,report,sweep]'\n"
+    assert capsys.readouterr().err == said
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_sweep_trains_each_point_in_its_folder(calls: list[Args], tmp_path: Path) -> None:

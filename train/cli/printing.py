@@ -142,7 +142,7 @@ def _name(key: str) -> str:
 
 
 def _table(rows: Sequence[dict[str, Any]]) -> Table:
-    heads = (escape(COLUMNS.get(name, name.replace("_", " "))) for name in rows[0])
+    heads = (escape(COLUMNS.get(name) or (name if "." in name else name.replace("_", " "))) for name in rows[0])
     table = Table(*(Column(head, overflow="fold") for head in heads))
     for row in rows:
         table.add_row(*(escape(_text(value)) for value in row.values()))

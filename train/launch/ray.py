@@ -106,17 +106,16 @@ def _connect(address: str | None, workers: int | None) -> None:
         where = f"the Ray cluster at '{address}'" if address else "a Ray cluster"
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         raise InputError(f"{where} cannot be reached: {reason}; start one by `ray start --head`") from None
-    if _is_head():
-        print(
-            "no Ray cluster is named or runs here: started one on this machine, which ends with the command; "
-            "--address HOST:PORT or RAY_ADDRESS names another",
-            file=sys.stderr,
-        )
+    if not address and not os.environ.get("RAY_ADDRESS"):
+        print(f"{_describe_cluster()}; --address HOST:PORT or RAY_ADDRESS names another", file=sys.stderr)
 
 
-def _is_head() -> bool:
-    """Return whether this process has started the cluster that it is connected to; Ray has no public word for it."""
-    return bool(getattr(getattr(ray._private.worker, "_global_node", None), "head", False))
+def _describe_cluster() -> str:
+    """Return which cluster was chosen where the user named none."""
+    # Ray has no public word for whether this process has started the cluster.
+    if getattr(getattr(ray._private.worker, "_global_node", None), "head", False):
+        return "no Ray cluster is named or runs here: started one on this machine, which ends with the command"
+    return f"no Ray cluster is named: joined the one of this machine, {ray.get_runtime_context().gcs_address}"
 
 
 def _check_door(address: str) -> None:
@@ -160,6 +159,8 @@ def _collect(one: Any) -> list[Any] | None:
         cause = error.cause
         if isinstance(cause, ModuleNotFoundError):
             raise InputError(f"a node of the Ray cluster cannot work: {cause}; install the same there") from None
+        if isinstance(cause, exceptions.RayError):  # what the task needs was lost with a node
+            return None
         raise (cause if isinstance(cause, Exception) else error) from None
     except exceptions.RayError:
         return None

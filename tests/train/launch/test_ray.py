@@ -21,6 +21,7 @@ from impact_envs import InputError
 from tests.train.processes import ROOT, count_rows, find_children, is_alive, start, wait_until
 from train.arguments import Args
 from train.cli.sweep import Command
+from train.errors import WorkerLost
 from train.evaluation.case import TUNING_SEEDS, make_cases
 from train.evaluation.evaluate import evaluate_cases
 from train.launch.choice import Launch, use_launcher
@@ -164,7 +165,7 @@ def test_a_cluster_that_is_started_here_is_told_and_one_that_is_joined_is_not(cl
                 timeout=300,
             )
         assert done.returncode == 0, done.stderr
-        lines = [line for line in done.stderr.splitlines() if "no Ray cluster is named or runs here" in line]
+        lines = [line for line in done.stderr.splitlines() if "no Ray cluster is named" in line]
         assert len(lines) == told, done.stderr
         assert all("--address" in line and "RAY_ADDRESS" in line for line in lines)
 
@@ -186,6 +187,8 @@ def test_what_a_shard_raises_is_raised_here(cluster: Any) -> None:
     with use_launcher(Launch("ray", cluster.address)) as launcher:
         with pytest.raises(InputError, match="no such thing"):
             list(launcher.run(start_failing, [1]))
+        with pytest.raises(WorkerLost, match="4 Ray processes or nodes were lost"):
+            list(launcher.run(start_missing, [1]))
         assert sorted(launcher.run(start_squaring, range(5))) == [0, 1, 4, 9, 16]
 
 
@@ -221,6 +224,16 @@ def kill_when(path: Path, killed: list[int]) -> None:
 
 def start_squaring() -> Any:
     return lambda task: [task * task]
+
+
+def start_missing() -> Any:
+    """What a task needs was lost with a node, as Ray tells it where the task would run."""
+    from ray.exceptions import OwnerDiedError
+
+    def miss(task: int) -> list[int]:
+        raise OwnerDiedError("00", None, "")
+
+    return miss
 
 
 def start_failing() -> Any:
