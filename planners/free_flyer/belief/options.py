@@ -126,6 +126,12 @@ class Aim:
     # The last impact brings the object to its end if as much time is left, otherwise only deep enough into its goal.
     full_correction: float = 15.0  # [s]
     deep_enough: Share = 0.65  # share of the plan's margin
+    # The first impact on an object that drifts is to push it as planned, with a cosine of at least this, or its robot
+    # would have to go round it: otherwise it flies faster to its next place,
+    kept_side: Cosine = 0.7
+    sooner: Share = 0.85  # by this share of its flight's time at a time,
+    hastenings: CountOrNone = 0  # so often at most
+    via: Share = 0.4  # share of the depth by which a place that a flight has to pass may be missed
     bend: float = 0.25  # from the straight way that a drifting object may fly, at most half the next knot's depth [m]
     cruise: float = 0.15  # speed at which any leg can be flown [m/s],
     hurry: float = 1.15  # or so many times the plan's, where the plan itself is faster,
@@ -206,6 +212,25 @@ class Retiming:
     pull: float = 1e-5  # weight of changing the time, squared [m^2/s^2]
     reserve: float = 4.0  # after the last impact [s], or
     reserve_share: Share = 0.1  # of the horizon
+    # An object that waits for its first impact and will have drifted so far from its place by then is hit sooner [m],
+    stray: float = math.inf
+    stray_deviations: float = 2.0  # and so many standard deviations more:
+    stray_share: Share = 0.6  # when it has drifted so large a share of that, or later,
+    careful: Positive = 1.0  # because its robot is given so many times as long as it needs
+    fine: Positive = 0.5  # changes of time that are not worth it [s]
+
+
+@dataclass(frozen=True)
+class Stay:
+    """Staying for a while where the last impact brings an object that drifts: thrown up against its drift."""
+
+    longer: float = 1.1  # times as long as it has to,
+    later: float = 2.0  # and so much longer [s]
+    shallow: Share = 0.3  # share of the plan's margin below which another velocity is looked for
+    samples: Count = 16  # of a stay that are looked at
+    # Shares of the time that is left after which a throw is back at the straight way; without drift the first is best.
+    throws: tuple[Share, ...] = (1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08)
+    targets: Count = 4  # of the way to the plan's place that are tried, and the place where it is
 
 
 @dataclass(frozen=True)
@@ -227,6 +252,9 @@ class Insertion:
     least_share: Share = 0.5  # of the wished change of velocity, below which it is withdrawn
     least_change: float = 4e-3  # of the object's velocity that is worth an impact [m/s]
     side: Cosine = 0.6  # cosine between the way from robot to object and the change of velocity, at least
+    # By so much an object misses the place of its first impact for which another one is inserted before it [m],
+    stray: float = math.inf
+    wait: float = 30.0  # if that is so far off [s]
     edge: float = 0.2  # an impact is inserted, too, if its robot would come so near to areas it may not leave [m]
     wall: float = 0.1  # kept by the robot from the edge of areas it may not leave [m]
 
@@ -254,6 +282,12 @@ class Avoidance:
     clearance: float = 0.1  # kept between the edges of two bodies [m]
     braking: Share = 0.7  # share of the thrust, for each of two robots
     sweeps: CountOrNone = 3  # over all neighbours
+    # A robot keeps off the object that it is to hit, too, while the way to it is turned from the impulse by an angle of
+    # a cosine below this: it would push the object aside,
+    target_side: Cosine = -1.0
+    target_clearance: float = 0.02  # by so much [m],
+    # or if it comes sooner than this before the expected impact, and too fast to brake [s].
+    target_early: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -343,6 +377,7 @@ class Options:
     response: Response = Response()
     replanning: Replanning = Replanning()
     retiming: Retiming = Retiming()
+    stay: Stay = Stay()
     insertion: Insertion = Insertion()
     reoptimisation: Reoptimisation = Reoptimisation()
     avoidance: Avoidance = Avoidance()

@@ -8,9 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import Body, FreeFlyerScenario
+from impact_envs.stl import In
 from planners.free_flyer.specification.central_hit import find_central_hits
 from planners.free_flyer.specification.impact_demand import Knot, find_knots, find_own_faces
+from planners.free_flyer.specification.requirement import list_held_throughout, read_demands
 from planners.free_flyer.tracking.course import convert_curve
 from planners.free_flyer.tracking.problem import Weights, build_tracking_problem
 from planners.plan import Plan, PlannedResponse, Tube
@@ -52,6 +55,12 @@ KNOT = np.dtype(
         ("closes", float),
         ("depth", float),  # planned distance to the nearest face, inf without faces [m]
         ("faces", int),  # number of faces
+        ("stay", float),  # how long the object has to stay from its arrival on, whenever that is [s]
+        # A place on the flight to the next knot that has to be passed: after which share of its time, 0: none, and by
+        # how much it may be missed [m].
+        ("via_share", float),
+        ("via", float, 2),  # [m]
+        ("via_depth", float),
         # Box for which the plan promises that all goes on well, empty where it promises nothing [m].
         ("lower", float, 2),
         ("upper", float, 2),
@@ -102,7 +111,10 @@ class PlanTable(NamedTuple):
         breaks: breakpoints of the robots' curves, filled up by inf, shape (r, S + 1) [s].
         coefficients: of their segments in power basis, shape (r, S, d + 1, 2) [m].
         walls: of the world: least x, least y, greatest x, greatest y, shape (4,) [m].
-        solid: corners of the solid obstacles, counter-clockwise, filled up by the last one, shape (s, c, 2) [m].
+        solid: corners of the solid obstacles, then of the areas that the formula tells a body to keep out of at all
+            times, counter-clockwise, filled up by the last one, shape (s, c, 2) [m].
+        inset: how far each body's centre has to stay outside them: its radius, 0 of an area that stops nobody, -inf
+            where nothing forbids it to be inside, shape (s, n) [m].
         side: SIDE of each object that is no disc, shape (objects, d).
         pilot: of each robot's tracking problem, shape (r, 52).
         last: of each object, how long the plan lets it fly after its last impact if the plan says how much it may be
@@ -128,6 +140,7 @@ class PlanTable(NamedTuple):
     coefficients: np.ndarray
     walls: np.ndarray
     solid: np.ndarray
+    inset: np.ndarray
     side: np.ndarray
     pilot: np.ndarray
     last: np.ndarray
@@ -173,7 +186,7 @@ def make_plan_table(
         begin + breaks,
         coefficients,
         np.array([*scenario.world.lower, *scenario.world.upper], dtype=float),
-        _make_solids(scenario),
+        *_make_solids(scenario),
         _make_sides(scenario),
         np.array(
             [build_tracking_problem(robot, scenario.control_period, weights).row for robot in scenario.robots.values()]
@@ -234,6 +247,9 @@ def _make_knots(knots: list[Knot], begin: float) -> tuple[np.ndarray, np.ndarray
         margins = [plane["offset"] - plane["normal"] @ knot.position for plane in faces[: len(knot.faces)]]
         row["position"], row["depth"], row["faces"] = knot.position, min(margins, default=np.inf), len(knot.faces)
         row["opens"], row["closes"] = (begin + time for time in knot.window)
+        row["stay"] = knot.stay
+        if knot.via is not None:
+            row["via_share"], row["via"], row["via_depth"] = knot.via.share, knot.via.position, knot.via.depth
     return table, face
 
 
@@ -336,12 +352,31 @@ def _find_walls(scenario: FreeFlyerScenario, name: str) -> list[np.ndarray]:
     return [np.array([x, y, b - inset]) for x, y, b in sides]
 
 
-def _make_solids(scenario: FreeFlyerScenario) -> np.ndarray:
-    found = [np.array(obstacle.corners, float) for obstacle in scenario.obstacles.values() if obstacle.solid]
+def _make_solids(scenario: FreeFlyerScenario) -> tuple[np.ndarray, np.ndarray]:
+    """Return `PlanTable.solid` and `PlanTable.inset`."""
+    bodies = [scenario.body(name) for name in scenario.bodies]
+    found = [np.array(area.corners, float) for area in scenario.obstacles.values() if area.solid]
+    inset = [np.array([body.radius for body in bodies]) for _ in found]
+    kept = _list_kept_out(scenario)
+    for name, obstacle in scenario.obstacles.items():
+        outside = np.array([(body, name) in kept for body in scenario.bodies])
+        if not obstacle.solid and outside.any():
+            found.append(np.array(obstacle.corners, float))
+            inset.append(np.where(outside, 0.0, -np.inf))
     solid = np.zeros((len(found), max(map(len, found), default=0), 2))
     for row, corners in zip(solid, found, strict=True):
         row[: len(corners)], row[len(corners) :] = corners, corners[-1]
-    return solid
+    return solid, np.array(inset).reshape(len(found), len(bodies))
+
+
+def _list_kept_out(scenario: FreeFlyerScenario) -> set[tuple[str, str]]:
+    """Return the bodies and obstacles such that the formula tells the body to be outside at all times."""
+    try:
+        demands = read_demands(scenario, 0.0)
+    except InputError:
+        return set()
+    held = list_held_throughout(scenario, demands.conjuncts.values())
+    return {(node.body, node.area) for node in held if isinstance(node, In) and node.negated}
 
 
 def _make_sides(scenario: FreeFlyerScenario) -> np.ndarray:

@@ -1,13 +1,14 @@
-"""Walls and solid obstacles: how far a robot is from what cannot be moved; compiled.
+"""Walls, solid obstacles and forbidden areas: how far a robot is from where it cannot or may not be; compiled.
 
-Fixed body i is a wall of the world for i < WALLS, then a solid obstacle, a convex polygon.
+Fixed body i is a wall of the world for i < WALLS, then a solid obstacle or an area that the formula tells bodies to
+keep out of at all times, a convex polygon.
 """
 
 from __future__ import annotations
 
 import math
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, inlined
 from planners.free_flyer.belief.plan_table import PlanTable
 
 WALLS = 4  # sides of the world
@@ -55,13 +56,21 @@ def measure_distance(plan: PlanTable, i: int, x: float, y: float) -> tuple[float
     return nearest, px / nearest, py / nearest
 
 
+@inlined
+def get_inset(plan: PlanTable, i: int, body: int) -> float:
+    """Return how far a body's centre has to stay off fixed body i; -inf if it may be inside [m]."""
+    return plan.body[body].radius if i < WALLS else plan.inset[i - WALLS, body]
+
+
 @compiled
 def measure_gap(plan: PlanTable, body: int, x: float, y: float) -> float:
     """Return the gap between a body's disc at a point and the nearest fixed body, negative where they overlap [m]."""
     gap = math.inf
     for i in range(WALLS + len(plan.solid)):
-        gap = min(gap, measure_distance(plan, i, x, y)[0])
-    return gap - plan.body[body].radius
+        inset = get_inset(plan, i, body)
+        if inset > -math.inf:
+            gap = min(gap, measure_distance(plan, i, x, y)[0] - inset)
+    return gap
 
 
 @compiled

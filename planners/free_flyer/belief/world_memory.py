@@ -161,6 +161,9 @@ HIT = np.dtype(
         ("recoil_variance", float),  # [m^2/s^2]
         ("thrust", float),  # change of the robot's velocity by thrust since then, the way's length [m/s]
         ("watched_at", float),  # when the recoil was looked at last, inf if it is over [s]
+        # Of the object's stay at its end, see `stay`.
+        ("outside_at", float),  # when it was seen outside last [s]
+        ("has_stayed", bool),  # it was inside for as long as it has to
     ],
     align=True,
 )

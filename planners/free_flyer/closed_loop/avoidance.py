@@ -7,7 +7,7 @@ import math
 from impact_envs.compiled import compiled, inlined
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
-from planners.free_flyer.belief.surroundings import WALLS, measure_distance
+from planners.free_flyer.belief.surroundings import WALLS, get_inset, measure_distance
 from planners.free_flyer.belief.world_memory import WorldMemory
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT
 
@@ -41,7 +41,10 @@ def avoid_bodies(
     for _ in range(options.avoidance.sweeps):
         slack = 0.0
         for j in range(len(plan.body)):
-            if j in (r, target):
+            if j == r:
+                continue
+            early = find_earliness(plan, memory, options, k, r, target) if j == target else math.inf
+            if early <= 0.0:
                 continue
             y = memory.filter[k, j]
             dx, dy = y.position[0] - z.position[0], y.position[1] - z.position[1]
@@ -50,11 +53,14 @@ def avoid_bodies(
                 continue
             distance = math.hypot(dx, dy)
             nx, ny = dx / max(distance, 1e-9), dy / max(distance, 1e-9)
-            room = distance - plan.body[r].radius - plan.body[j].radius - options.avoidance.clearance
+            clearance = options.avoidance.target_clearance if j == target else options.avoidance.clearance
+            room = distance - plan.body[r].radius - plan.body[j].radius - clearance
             brake = options.avoidance.braking * most
             if j < plan.robots and not memory.course[k, j].ends_in_impact:
                 brake *= 2.0
             fastest = compute_fastest(brake, room, h)
+            if j == target:
+                fastest = max(fastest, max(room, 0.0) / early)
             closing = (z.velocity[0] - y.velocity[0]) * nx + (z.velocity[1] - y.velocity[1]) * ny
             excess = closing + h * (ax * nx + ay * ny) - fastest
             if excess > 0.0:
@@ -62,6 +68,8 @@ def avoid_bodies(
                 ax, ay = reduce_closing(ax, ay, nx, ny, excess / h, most)
         first = WALLS if options.walls and is_off_walls(plan, memory, options, k, r, ax, ay) else 0
         for i in range(first, WALLS + len(plan.solid) if options.walls else 0):
+            if get_inset(plan, i, r) == -math.inf:
+                continue
             fastest, nx, ny = limit_speed(plan, memory, options, k, r, target, i)
             excess = z.velocity[0] * nx + z.velocity[1] * ny + h * (ax * nx + ay * ny) - fastest
             if excess > 0.0:
@@ -71,6 +79,18 @@ def avoid_bodies(
             break
     memory.counts[k].avoided += 1 if changed else 0
     return ax, ay, slack
+
+
+@compiled
+def find_earliness(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, target: int) -> float:
+    """Return for how long robot r may not yet touch its target [s]: 0 or less: it may, inf: it is on the wrong side."""
+    strike, z, y = memory.strike[k, target - plan.robots], memory.filter[k, r], memory.filter[k, target]
+    if not strike.is_solved:
+        return 0.0
+    dx, dy = y.position[0] - z.position[0], y.position[1] - z.position[1]
+    if dx * strike.normal[0] + dy * strike.normal[1] < options.avoidance.target_side * math.hypot(dx, dy):
+        return math.inf
+    return strike.time - memory.time[k] - options.avoidance.target_early
 
 
 @inlined
@@ -114,12 +134,13 @@ def limit_speed(
     """
     z, h = memory.filter[k, r], plan.period
     distance, nx, ny = measure_distance(plan, i, z.position[0], z.position[1])
-    gap, clearance = distance - plan.body[r].radius, options.surroundings.clearance
+    inset = get_inset(plan, i, r)
+    gap, clearance = distance - inset, options.surroundings.clearance
     brake = options.avoidance.braking * plan.pilot[r, GAIN] * plan.pilot[r, INPUT_LIMIT]
     if target == NO_TARGET:
         return compute_fastest(brake, gap - clearance, h), nx, ny
     strike = memory.strike[k, target - plan.robots]
-    left = measure_distance(plan, i, strike.contact[0], strike.contact[1])[0] - plan.body[r].radius
+    left = measure_distance(plan, i, strike.contact[0], strike.contact[1])[0] - inset
     clearance = min(clearance, max(left, 0.0))
     fastest = compute_fastest(brake, gap - clearance, h)
     late = strike.time + options.surroundings.late - memory.time[k]

@@ -14,10 +14,10 @@ from planners.free_flyer.belief.offset import extrapolate_swing
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
+from planners.free_flyer.next_impact.aim import choose_desired_velocity
 from planners.free_flyer.next_impact.correction import predict_margin
 from planners.free_flyer.next_impact.desired_velocity import (
     ROUND_OFF,
-    choose_desired_velocity,
     compute_margin,
     find_next_knot,
 )

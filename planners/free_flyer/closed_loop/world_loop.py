@@ -42,7 +42,8 @@ from planners.free_flyer.next_impact.reoptimisation import reoptimise_rest
 from planners.free_flyer.next_impact.replanner import replan_course
 from planners.free_flyer.next_impact.response import forget_responses, respond
 from planners.free_flyer.next_impact.rest_qp import RestQP
-from planners.free_flyer.next_impact.retiming import may_move, retime_impact
+from planners.free_flyer.next_impact.retiming import hasten_waiting, is_straying, may_move, retime_impact
+from planners.free_flyer.next_impact.stay import watch_stays
 from planners.free_flyer.tracking.mpc import Workspace
 
 # What to do with the worlds.
@@ -95,6 +96,7 @@ def observe_world(
         if memory.touch[k, r] != NOBODY:
             take_contact(plan, memory, options, k, r, now)
     take_misses(plan, memory, options, k, now)
+    watch_stays(plan, memory, options, k, now)
     learn_from_hits(plan, memory, options, k, now)
     look_ahead(plan, memory, options, qp, c, k, now)
     remember_positions(plan, memory, k, now)
@@ -239,15 +241,16 @@ def reconsider_impact(
             memory.counts[k].no_optimum += 1
             # Its rows are on the safe side: a new plan is wanted only if the flight goes astray, but then sooner.
             strike.astray_since = min(strike.astray_since, now - options.insertion.long_astray + options.insertion.soon)
-    if (
-        not kept
-        and options.retime
-        and strike.last_contact > 0.0
-        and strike.index != NO_IMPACT
-        and may_move(plan, memory, options, k, o, now)
-    ):
+    hit_before = strike.last_contact > 0.0
+    may_retime = options.retime and not kept and strike.index != NO_IMPACT
+    may_retime = may_retime and may_move(plan, memory, options, k, o, now)
+    if may_retime and hit_before:
         retime_impact(plan, memory, options, k, o, now)
-    if options.insert and strike.last_contact > 0.0 and not answered:
+    elif may_retime and is_straying(plan, memory, options, k, o, options.retiming.stray):
+        hasten_waiting(plan, memory, options, k, o, now)
+    long_wait = strike.index != NO_IMPACT and strike.time - now > options.insertion.wait
+    may_insert = hit_before or (long_wait and is_straying(plan, memory, options, k, o, options.insertion.stray))
+    if options.insert and may_insert and not answered:
         insert_impact(plan, memory, options, k, o, now)
 
 

@@ -10,10 +10,10 @@ from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory
+from planners.free_flyer.next_impact.aim import choose_desired_velocity
 from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time
 from planners.free_flyer.next_impact.desired_velocity import (
     ROUND_OFF,
-    choose_desired_velocity,
     compute_margin,
     compute_room,
     find_mass,

@@ -1,4 +1,4 @@
-"""Choose the velocity that an object should have after its coming impact; compiled."""
+"""Margins of an object's flight, and the velocity that takes it from its coming impact to its next knot; compiled."""
 
 from __future__ import annotations
 
@@ -101,48 +101,6 @@ def compute_desired_velocity(
     vy = (target_y - y) / duration - drift_y * duration / 2
     scale = min(1.0, limit / max(abs(vx), abs(vy), 1e-12))
     return vx * scale, vy * scale
-
-
-@compiled
-def choose_desired_velocity(
-    plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int
-) -> tuple[float, float]:
-    """Return the velocity object o should have after its coming impact [m/s]."""
-    strike, body = memory.strike[k, o], plan.robots + o
-    time, (drift_x, drift_y) = strike.time, find_drift(memory.filter[k, body])
-    x, y = find_mass(memory, k, body, time)
-    knot, due, last = find_next_knot(plan, memory, k, o, strike.is_inserted)
-    target_x, target_y = memory.place[k, knot, 0], memory.place[k, knot, 1]
-    duration = max(due - time, options.aim.shortest_leg if last else 2.0)
-    limit = plan.body[body].speed_limit
-    if strike.index != NO_IMPACT and is_answered(plan, memory, options, k, o):
-        response = plan.response[strike.index]
-        vx = response.velocity[0] + response.gain[0] * (x - response.centre[0])
-        vy = response.velocity[1] + response.gain[1] * (y - response.centre[1])
-        target_x, target_y = x + vx * duration, y + vy * duration
-        return compute_desired_velocity(x, y, target_x, target_y, duration, drift_x, drift_y, limit)
-    if not last or not options.insert or plan.knot[knot].faces == 0:
-        return compute_desired_velocity(x, y, target_x, target_y, duration, drift_x, drift_y, limit)
-    # The depth that is enough grows with the time that is left, up to the plan's; a plan that says what happens if the
-    # object is off may leave less time.
-    full = options.aim.full_correction
-    if plan.last[o] > 0.0:
-        full = min(full, plan.last[o])
-    extra = min(max(duration / full - 0.5, 0.0) * 2.0, 1.0)
-    enough = (options.aim.deep_enough + (1.0 - options.aim.deep_enough) * extra) * plan.knot[knot].depth
-    best, chosen = -math.inf, 1.0
-    for i in range(options.aim.shares + 1):
-        share = i / options.aim.shares
-        end_x, end_y = x + share * (target_x - x), y + share * (target_y - y)
-        wish_x, wish_y = compute_desired_velocity(x, y, end_x, end_y, duration, drift_x, drift_y, limit)
-        room = compute_room(plan, memory, k, o, strike.robot, time, wish_x, wish_y)
-        score = min(compute_margin(plan, knot, end_x, end_y), enough, room) - options.aim.smallest * share
-        if compute_turn(plan, memory, k, o, wish_x, wish_y) < options.aim.same_side:
-            score -= options.aim.other_side
-        if score > best:
-            best, chosen = score, share
-    end_x, end_y = x + chosen * (target_x - x), y + chosen * (target_y - y)
-    return compute_desired_velocity(x, y, end_x, end_y, duration, drift_x, drift_y, limit)
 
 
 @compiled

@@ -16,7 +16,7 @@ from impact_envs.compiled import compiled, inlined
 from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
-from planners.free_flyer.belief.surroundings import WALLS, measure_distance, measure_gap
+from planners.free_flyer.belief.surroundings import WALLS, get_inset, measure_distance, measure_gap
 from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
 from planners.free_flyer.tracking.course import Motion, evaluate_course, evaluate_quintic, fit_detour, fit_quintic
 from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT
@@ -200,7 +200,7 @@ def find_corner(plan: PlanTable, r: int, at: int, margin: float) -> tuple[float,
         if wx == 0.0 and wy == 0.0 and (ex != 0.0 or ey != 0.0):
             length = math.hypot(ex, ey)
             wx, wy = ey / length, -ex / length
-    scale = (plan.body[r].radius + margin) / max(1.0 + ux * wx + uy * wy, 0.5)
+    scale = (max(get_inset(plan, WALLS + at // count, r), 0.0) + margin) / max(1.0 + ux * wx + uy * wy, 0.5)
     return x + scale * (ux + wx), y + scale * (uy + wy)
 
 
@@ -210,7 +210,7 @@ def move_clear(plan: PlanTable, r: int, x: float, y: float, margin: float) -> tu
     for _ in range(2):
         for i in range(WALLS + len(plan.solid)):
             distance, nx, ny = measure_distance(plan, i, x, y)
-            short = margin + plan.body[r].radius - distance
+            short = margin + get_inset(plan, i, r) - distance
             if short > 0.0:
                 x, y = x - short * nx, y - short * ny
     return x, y

@@ -12,10 +12,10 @@ from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.surroundings import is_way_clear
 from planners.free_flyer.belief.world_memory import NO_ROBOT, WorldMemory, find_next_event
+from planners.free_flyer.next_impact.aim import choose_desired_velocity
 from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time
 from planners.free_flyer.next_impact.desired_velocity import (
     ROUND_OFF,
-    choose_desired_velocity,
     compute_desired_velocity,
     compute_margin,
     compute_room,
@@ -24,6 +24,7 @@ from planners.free_flyer.next_impact.desired_velocity import (
     find_share,
 )
 from planners.free_flyer.next_impact.reachability import compute_arrival, compute_time, find_contact, is_reachable
+from planners.free_flyer.next_impact.stay import choose_stay, is_leaving
 
 
 @compiled
@@ -40,6 +41,10 @@ def insert_impact(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     )
     needed = options.insertion.shallow * plan.knot[knot].depth if over else options.insertion.safe
     astray = compute_margin(plan, knot, x, y) + spread < needed
+    if over and not astray:
+        astray = is_leaving(plan, memory, options, k, o, now)
+    elif strike.last_contact <= 0.0:  # it waits, and drifts
+        astray = True
     if not over and not astray:
         wish_x, wish_y = choose_desired_velocity(plan, memory, options, k, o)
         room = compute_room(plan, memory, k, o, strike.robot, time, wish_x, wish_y)
@@ -133,6 +138,8 @@ def choose_robot(
     limit = plan.body[body].speed_limit
     from_x, from_y = find_mass(memory, k, body, time)
     wish = compute_desired_velocity(from_x, from_y, target_x, target_y, duration, drift_x, drift_y, limit)
+    if over:
+        wish = choose_stay(plan, memory, options, k, o, NO_ROBOT, time, duration, wish)
     dx, dy = wish[0] - vx, wish[1] - vy
     change = math.hypot(dx, dy)
     best, found = options.insertion.side, NO_ROBOT

@@ -12,11 +12,11 @@ from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.surroundings import measure_gap
 from planners.free_flyer.belief.world_memory import NO_OBJECT, WorldMemory
+from planners.free_flyer.next_impact.aim import choose_desired_velocity, keep_side
 from planners.free_flyer.next_impact.bookkeeping import set_clocks, set_time, withdraw_impact
 from planners.free_flyer.next_impact.correction import correct_change
 from planners.free_flyer.next_impact.desired_velocity import (
     ROUND_OFF,
-    choose_desired_velocity,
     compute_margin,
     hasten_next_knot,
     is_answered,
@@ -42,6 +42,7 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     strike.is_answered = strike.index != NO_IMPACT and is_answered(plan, memory, options, k, o)
     if options.drift and not strike.is_answered:
         hasten_next_knot(plan, memory, options, k, o)
+        keep_side(plan, memory, options, k, o)
     wish = choose_desired_velocity(plan, memory, options, k, o)
     dx, dy = correct_change(options, strike.scale, strike.turn, wish[0] - vx, wish[1] - vy)
     dx, dy, distance = turn_to_centre(plan, memory, options, k, o, time - now, dx, dy)

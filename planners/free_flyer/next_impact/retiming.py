@@ -6,7 +6,7 @@ import math
 
 from impact_envs.compiled import compiled, inlined
 from planners.free_flyer.belief.drift import find_motion
-from planners.free_flyer.belief.estimator import extrapolate_flight
+from planners.free_flyer.belief.estimator import compute_variance, extrapolate_flight
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import NO_IMPACT, PlanTable
 from planners.free_flyer.belief.world_memory import WorldMemory
@@ -43,6 +43,53 @@ def may_move(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: 
     x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, strike.time)
     early = compute_margin(plan, strike.index, x, y) < options.insertion.safe
     return now <= strike.time - options.retiming.last and early
+
+
+@compiled
+def is_straying(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, most: float) -> bool:
+    """Return whether object o, which waits for its first impact, will surely have drifted away from its place then.
+
+    Args:
+        most: distance from where its impact is planned [m].
+    """
+    strike, body = memory.strike[k, o], plan.robots + o
+    if strike.index == NO_IMPACT or len(plan.response) > 0:
+        return False
+    x, y, _, _ = extrapolate_flight(memory, k, body, strike.time)
+    far = math.hypot(x - memory.place[k, strike.index, 0], y - memory.place[k, strike.index, 1])
+    if far <= most:
+        return False
+    spread = math.sqrt(max(compute_variance(memory, k, body, strike.time), 0.0))
+    return far > most + options.retiming.stray_deviations * spread
+
+
+@compiled
+def hasten_waiting(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, now: float) -> None:
+    """Move the first impact of object o, which drifts away where it waits, to the latest time when it is not far yet.
+
+    Its robot has to be there in time, and has more to spare than for other impacts: it may come from the other side.
+    """
+    strike, body, place = memory.strike[k, o], plan.robots + o, memory.place[k, memory.strike[k, o].index]
+    index, r, old = strike.index, strike.robot, strike.time
+    time, late = now, old
+    while late - time > options.retiming.fine:
+        middle = 0.5 * (time + late)
+        x, y, _, _ = extrapolate_flight(memory, k, body, middle)
+        if math.hypot(x - place[0], y - place[1]) <= options.retiming.stray_share * options.retiming.stray:
+            time = middle
+        else:
+            late = middle
+    px, py = find_contact(plan, memory, k, index)
+    notice = options.retiming.frozen
+    while now + notice < old:
+        if is_reachable(plan, memory, options, k, r, px, py, 0.0, 0.0, notice / options.retiming.careful):
+            break
+        notice += 1.0
+    time = max(max(time, now + notice), max(plan.knot[index].opens, compute_arrival(plan, memory, options, k, index)))
+    if time < old - options.retiming.fine:
+        memory.counts[k].retimed += 1
+        set_time(plan, memory, k, o, index, time)
+        set_clocks(plan, memory, options, k, now)
 
 
 @compiled

@@ -10,12 +10,29 @@ import numpy as np
 
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from impact_envs.stl import Always, And, Eventually, Formula, Or, Predicate
+from impact_envs.stl import Always, And, Eventually, Formula, Or, Predicate, Until
+from planners.bezier import Curve
 from planners.free_flyer.specification.requirement import Requirement, read_demands
 from planners.plan import Plan
 
 AT_REST = 1e-4  # speed below which an object counts as at rest [m/s]
+LOOKS = 64  # at a flight between two knots, for where it serves a demand best
 ROUND_OFF = 1e-6  # differences of times [s] and margins [m] that count as none
+
+
+@dataclass(frozen=True, eq=False)
+class Via:
+    """Hold a place on a flight between two knots at which it serves a demand that none of them serves.
+
+    Args:
+        share: of the flight's time.
+        position: planned, shape (2,) [m].
+        depth: how far it may be off [m].
+    """
+
+    share: float
+    position: np.ndarray
+    depth: float
 
 
 @dataclass(eq=False)
@@ -28,6 +45,8 @@ class Knot:
         faces: rows (H, b) with H p <= b for the object's centre p, shape (f, 3).
         window: when the object may be here [s].
         rests: whether the object stays here until the next knot.
+        stay: how long it has to stay from its arrival on, whenever that is; 0: no such demand [s].
+        via: what it has to fly through on its way to the next knot, if any.
     """
 
     time: float
@@ -35,6 +54,8 @@ class Knot:
     faces: list[np.ndarray] = field(default_factory=list)
     window: tuple[float, float] = (0.0, np.inf)
     rests: bool = False
+    stay: float = 0.0
+    via: Via | None = None
 
     def narrow(self, start: float, end: float) -> None:
         """Narrow the window to its part between two times [s]."""
@@ -46,10 +67,11 @@ def find_knots(scenario: FreeFlyerScenario, plan: Plan, name: str) -> list[Knot]
 
     "Always" binds every knot in its window; an area to avoid binds it by the face beyond which the plan stays on the
     legs before and after or, where a leg passes a corner, by its own. "Eventually" binds the knot in its window that
-    serves it best, the last of several equal ones; if the plan serves it between knots only, it binds none. Of a
-    disjunction, the part that the knots serve best counts; if they serve none, as where another body does, it binds
-    none. A knot at which the object rests is also bound by the demands of the next one. Demands on several bodies at
-    once, and formulas that the planner does not take, bind nothing.
+    serves it best, the last of several equal ones; if the plan serves it between knots only, it binds none, but the
+    knot before notes where. "Until" is an "eventually", and an "always" until that knot. Of a disjunction, the part
+    that the knots serve best counts; if they serve none, as where another body does, it binds none. A knot at which the
+    object rests is also bound by the demands of the next one. Demands on several bodies at once, and formulas that the
+    planner does not take, bind nothing.
 
     Args:
         scenario: with its formula.
@@ -70,6 +92,7 @@ def find_knots(scenario: FreeFlyerScenario, plan: Plan, name: str) -> list[Knot]
     owned = {p: r for p, r in demands.predicates.items() if r.body == name and not r.others and r.kind != "apart"}
     for formula in demands.conjuncts.values():
         _bind(formula, 0.0, 0.0, knots, owned)
+        _add_via(formula, curve, knots, owned)
     for need in demands.solids:
         if need.body == name:
             _bind_throughout(need, need.start, need.end, knots)
@@ -128,14 +151,22 @@ def _bind(formula: Formula, start: float, end: float, knots: list[Knot], owned: 
         case Eventually((lower, upper), child) if end + lower <= start + upper + ROUND_OFF:
             # Once in what all windows have in common is enough for all of them.
             _bind_best(child, end + lower, start + upper, knots, owned)
+        case Until((lower, upper), left, right) if end + lower <= start + upper + ROUND_OFF:
+            time = _bind_best(right, end + lower, start + upper, knots, owned)
+            if time is not None:
+                _bind(left, start, time, knots, owned)
         case Predicate() if formula in owned:
             _bind_throughout(owned[formula], start, end, knots)
 
 
 def _bind_best(
     formula: Formula, opens: float, closes: float, knots: list[Knot], owned: dict[Predicate, Requirement]
-) -> None:
-    """Bind the last of the best knots for what has to hold once in a window, or at which the object comes to rest."""
+) -> float | None:
+    """Bind the last of the best knots for what has to hold once in a window, or at which the object comes to rest.
+
+    Returns:
+        When it holds, None if it does at no knot [s].
+    """
     # Every object starts at rest. A knot that ends a rest belongs to that rest.
     stays: list[tuple[Knot | None, Knot]] = [(None, knots[0])]
     for before, knot, after in zip([None, *knots], knots, [*knots[1:], knots[-1]], strict=False):
@@ -150,7 +181,7 @@ def _bind_best(
     ]
     margins = [_measure_at(formula, arrival or leaving, owned, knots) for arrival, leaving in found]
     if not found or max(margins) <= 0:
-        return
+        return None
     arrival, leaving = found[max(i for i, margin in enumerate(margins) if margin >= max(margins) - ROUND_OFF)]
     first = arrival or leaving
     _bind(formula, first.time, first.time, knots, owned)
@@ -162,6 +193,43 @@ def _bind_best(
         leaving.narrow(opens, closes if leaving.time <= closes + ROUND_OFF else np.inf)
     if arrival is not None and inner:
         arrival.narrow(0.0, closes)
+    if arrival is not None and opens <= ROUND_OFF:
+        arrival.stay = max(arrival.stay, _measure_stay(formula))
+    return first.time
+
+
+def _add_via(formula: Formula, curve: Curve, knots: list[Knot], owned: dict[Predicate, Requirement]) -> None:
+    """Note where an object flies through what it has to be in once, if it is there at no knot."""
+    match formula:
+        case Eventually((lower, upper), child) | Until((lower, upper), _, child):
+            pass
+        case _:
+            return
+    if child not in owned or owned[child].kind != "stay":
+        return
+    need = owned[child]
+    if any(_measure_at(child, knot, owned, knots) > 0.0 for knot in _list_knots_between(lower, upper, knots)):
+        return
+    best, found = ROUND_OFF, None
+    for before, after in itertools.pairwise(knots):
+        for i in range(1, LOOKS):
+            time = before.time + i / LOOKS * (after.time - before.time)
+            position = curve.position(time, "left")
+            margin = float((need.bounds - need.faces @ position).min())
+            if lower <= time <= upper and margin > best:
+                best, found = margin, (before, Via(i / LOOKS, position, margin))
+    if found is not None:
+        found[0].via = found[1]
+
+
+def _measure_stay(formula: Formula) -> float:
+    """Return how long a formula holds "always" from an arrival on [s]."""
+    match formula:
+        case And(operands):
+            return max(_measure_stay(part) for part in operands)
+        case Always((_, upper), child):
+            return float(upper) + _measure_stay(child)
+    return 0.0
 
 
 def _bind_throughout(need: Requirement, start: float, end: float, knots: list[Knot]) -> None:

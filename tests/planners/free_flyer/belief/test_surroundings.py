@@ -70,3 +70,21 @@ def test_a_way_past_a_corner_is_clear_if_the_disc_fits(table: PlanTable) -> None
     assert not is_way_clear(table, 0, 3.0, 6.15, 7.0, 6.15)
     assert is_way_clear(table, 0, 3.0, 6.25, 7.0, 6.25)
     assert is_way_clear(table, 0, 4.1, 6.1, 4.1, 7.0)  # it touches, and leaves
+
+
+def test_an_area_that_the_formula_forbids_counts_for_those_it_names_and_from_their_centres() -> None:
+    scenario = load("crew")
+    areas = {
+        "shade": {"lower": [4.0, 4.0], "upper": [6.0, 6.0]},
+        "sometimes": {"lower": [0.0, 0.0], "upper": [9.0, 9.0]},
+    }
+    name = scenario.agents[0]
+    formula = f"G[0,{scenario.horizon:g}] {name} not in shade & G[0,10] {name} not in sometimes"
+    scenario = scenario.override({"obstacles": areas, "formula": formula})
+    table = make_plan_table(scenario, make_plan(scenario))
+    assert len(table.solid) == 1
+    assert measure_gap(table, 0, 3.5, 5.0) == pytest.approx(0.5)
+    assert measure_gap(table, 0, 4.5, 5.0) == pytest.approx(-0.5)
+    assert measure_gap(table, 1, 4.5, 5.0) == pytest.approx(4.5 - RADIUS)  # to a wall of the world
+    assert not is_way_clear(table, 0, 3.0, 5.0, 7.0, 5.0)
+    assert is_way_clear(table, 1, 3.0, 5.0, 7.0, 5.0)

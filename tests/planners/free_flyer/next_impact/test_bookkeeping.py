@@ -15,6 +15,7 @@ from planners.free_flyer.belief.options import EXPERT, VARIANTS, Options, make_r
 from planners.free_flyer.belief.plan_table import NO_IMPACT, make_plan_table
 from planners.free_flyer.belief.world_memory import BLANK_STRIKE, NO_OBJECT, UNKNOWN, find_next_event, find_strike
 from planners.free_flyer.closed_loop.world_loop import control_world, should_replan
+from planners.free_flyer.next_impact.aim import choose_desired_velocity
 from planners.free_flyer.next_impact.bookkeeping import (
     find_due,
     learn_from_hits,
@@ -23,7 +24,6 @@ from planners.free_flyer.next_impact.bookkeeping import (
     take_misses,
 )
 from planners.free_flyer.next_impact.desired_velocity import (
-    choose_desired_velocity,
     compute_desired_velocity,
     compute_margin,
     compute_room,

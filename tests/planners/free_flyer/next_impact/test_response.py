@@ -18,8 +18,9 @@ from planners import make_plan as plan_scenario
 from planners.bezier import Curve
 from planners.free_flyer.belief.options import EXPERT
 from planners.free_flyer.belief.plan_table import PlanTable, make_plan_table, read_tube
+from planners.free_flyer.next_impact.aim import choose_desired_velocity
 from planners.free_flyer.next_impact.bookkeeping import learn_from_hits
-from planners.free_flyer.next_impact.desired_velocity import choose_desired_velocity, is_answered, is_settled
+from planners.free_flyer.next_impact.desired_velocity import is_answered, is_settled
 from planners.free_flyer.next_impact.response import find_place, respond, write_curve
 from planners.free_flyer.tracking.course import evaluate_course, evaluate_curve
 from planners.plan import Plan, PlannedResponse, Tube

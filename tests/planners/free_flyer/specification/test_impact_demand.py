@@ -293,3 +293,38 @@ def test_a_flight_past_a_corner_binds_each_end_by_its_own_face() -> None:
     first, second, *_ = knots_of(scenario, [(24, 3.6, 4.9), (52, 2.3, 3.6), (97, 2.3, 1.35), (123, 5, 1), (150, 5, 1)])
     assert faces(first) == {(0, -1, -4.2)}
     assert faces(second) == {(1, 0, 2.8)}
+
+
+def test_a_stay_counts_from_the_arrival_and_only_there() -> None:
+    places = [(8, 1.25, -0.75), (30, 2.5, -0.75), (100, 2.5, -0.75)]
+    first, catch, end = knots_of(load("pong", "F[0,60] G[0,20] pop in B"), places)
+    assert (first.stay, catch.stay, end.stay) == (0.0, 20.0, 0.0)
+    assert catch.window == (0.0, 60.0)
+    assert all(knot.stay == 0.0 for knot in knots_of(load("pong", "F[0,60] pop in B"), places))
+    assert all(knot.stay == 0.0 for knot in knots_of(load("pong", "G[50,60] pop in B"), places))
+
+
+def test_a_place_that_is_passed_between_knots_is_noted_where_it_is_passed_best() -> None:
+    places = [(10, 0.0, 0.25), (50, 5.0, 0.25), (100, 5.0, 0.25)]  # through C, from 1 to 1.5 m
+    first, second, end = knots_of(load("pong", "F[0,100] pop in C"), places)
+    assert first.via is not None
+    assert first.via.share == pytest.approx(0.25, abs=1 / 64)
+    assert first.via.position == pytest.approx((1.25, 0.25), abs=5 / 64)
+    assert first.via.depth == pytest.approx(0.25, abs=5 / 64)
+    assert second.via is None
+    assert end.via is None
+    # In time only.
+    assert all(knot.via is None for knot in knots_of(load("pong", "F[60,100] pop in C"), places))
+    # A knot that serves it is bound instead.
+    assert all(knot.via is None for knot in knots_of(load("pong", "F[0,100] pop in C"), PONG))
+
+
+def test_until_binds_the_knot_that_serves_it_and_what_has_to_hold_before() -> None:
+    places = [(8, 1.25, -0.75), (30, 2.5, -0.75), (100, 2.5, -0.75)]
+    first, catch, end = knots_of(load("pong", "(pop not in C) U[0,60] pop in B"), places)
+    assert faces(catch) >= B
+    assert catch.window == (0.0, 60.0)
+    assert faces(first) == {(0, 1, 0)}  # below C, as the plan
+    assert not faces(end) & {(0, 1, 0)}  # after it has been in B it may go anywhere
+    passed = knots_of(load("pong", "(pop not in D) U[0,100] pop in C"), [(10, 0, 0.25), (50, 5, 0.25), (100, 5, 0.25)])
+    assert passed[0].via is not None
