@@ -45,7 +45,7 @@ class NominalTask:
     corrections: tuple[Correction, ...] = ()
     sharp: bool = False
     easy_nodes: int = 200
-    proof_nodes: int = 1000
+    proof_nodes: int = 5000
 
     def build(
         self,
