@@ -3,9 +3,8 @@
     OMP_NUM_THREADS=1 python benchmarks/tasks.py --count 100 --plans plans
     OMP_NUM_THREADS=1 python benchmarks/task_flights.py plans --worlds 5
 
-Every plan is flown in the same worlds of each suite, all worlds of a suite at once; plans are made in the background
-only with ``--plan-anew``. A failed flight is flown again alone, which gives the same flight bit for bit, to see what
-happened in it first. Ctrl-C prints what is flown.
+Every plan is flown in the same worlds of each suite, all worlds of a suite at once. A failed flight is flown again
+alone, which gives the same flight bit for bit, to see what happened in it first. Ctrl-C prints what is flown.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ from impact_envs.scenario import build_scenario
 from impact_envs.stream import check_seed
 from planners import make_expert, make_expert_batch
 from planners.plan import Plan
+from train.settings import parse_settings
 from train.watch import exit_codes
 
 SUITES = ("nominal", "all")
@@ -46,8 +46,9 @@ class Args:
     """Of the first world; the others follow."""
     suites: tuple[str, ...] = SUITES
     """Mismatch suites."""
-    plan_anew: bool = False
-    """Let the expert plan the rest anew in the background where its plan cannot succeed any more: much slower."""
+    set: tuple[str, ...] = ()
+    """Options of the expert, for example retiming.stray=0.5; it plans nothing anew in the background without
+    plan_anew=true, which is much slower."""
     out: Path | None = None
     """Write the flights here, as JSON."""
 
@@ -77,7 +78,7 @@ class Flight:
 
 
 def fly_plan(
-    scenario: Scenario, kind: str, plan: Plan, suites: Iterable[str], seeds: range, plan_anew: bool = False
+    scenario: Scenario, kind: str, plan: Plan, suites: Iterable[str], seeds: range, options: Mapping[str, Any]
 ) -> Iterator[Flight]:
     """Fly a plan in every suite, and yield its flights.
 
@@ -87,9 +88,8 @@ def fly_plan(
         plan: of it.
         suites: mismatch suites.
         seeds: of the worlds.
-        plan_anew: whether the expert plans anew in the background.
+        options: of the expert.
     """
-    options = {"plan_anew": plan_anew}
     for suite in suites:
         world = scenario.suite(suite)
         worlds = vector_env(world, num_envs=len(seeds), threads=1)
@@ -106,7 +106,7 @@ def fly_plan(
             )
 
 
-def explain_failure(world: Scenario, plan: Plan, seed: int, options: dict[str, bool]) -> tuple[str, str]:
+def explain_failure(world: Scenario, plan: Plan, seed: int, options: Mapping[str, Any]) -> tuple[str, str]:
     """Return the conjunct of least robustness and the cause of a flight that failed, by flying it again alone."""
     env, expert, lowest, unplanned = (
         parallel_env(world),
@@ -155,14 +155,14 @@ def _get_kind(world: Any, name: str) -> str:
     return "robot" if name in world.robots else "object" if name in world.objects else "wall"
 
 
-def fly_folder(folder: Path, suites: Iterable[str], seeds: range, plan_anew: bool = False) -> Iterator[Flight]:
+def fly_folder(folder: Path, suites: Iterable[str], seeds: range, options: Mapping[str, Any]) -> Iterator[Flight]:
     """Fly every plan in a folder.
 
     Args:
         folder: of plans ``task_SEED.json``.
         suites: mismatch suites.
         seeds: of the worlds.
-        plan_anew: whether the expert plans anew in the background.
+        options: of the expert.
 
     Raises:
         InputError: there is none, or one is no plan of a random task.
@@ -177,7 +177,7 @@ def fly_folder(folder: Path, suites: Iterable[str], seeds: range, plan_anew: boo
         if not number.isdigit():
             raise InputError(f"{path}: the name says no seed")
         kind, data = draw_task(int(number))
-        yield from fly_plan(build_scenario(data, source=data["name"]), kind, Plan.load(path), suites, seeds, plan_anew)
+        yield from fly_plan(build_scenario(data, source=data["name"]), kind, Plan.load(path), suites, seeds, options)
 
 
 def print_table(flights: list[Flight]) -> None:
@@ -201,9 +201,10 @@ def main(args: Args) -> list[Flight]:
     check_count("worlds", args.worlds)
     check_seed(args.seed)
     seeds = range(args.seed, args.seed + args.worlds)
+    options = {"plan_anew": False, **parse_settings(args.set)}
     flights: list[Flight] = []
     try:
-        for flight in fly_folder(args.plans, args.suites, seeds, args.plan_anew):
+        for flight in fly_folder(args.plans, args.suites, seeds, options):
             flights.append(flight)
             if not flight.success:
                 found = f"{flight.robustness:.3f} of {flight.planned:.3f} m"
