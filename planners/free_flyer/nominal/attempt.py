@@ -59,6 +59,12 @@ class Attempt:
         robots = task.scenario.robots.values()
         return any(reserves.cruise(robot) < reserves.speed * robot.speed_limit for robot in robots)
 
-    def may_improve(self, several: bool) -> bool:
-        """Return whether it is worth the time where there is a plan of less robustness than impacts have."""
-        return not self.brisk and len(self.pieces) > 1 and self.few == several and self.simple is not False
+    def may_improve(self, several: bool, shallow: bool) -> bool:
+        """Return whether it is worth the time where there is a plan of less robustness than impacts have.
+
+        Args:
+            several: whether there are several objects.
+            shallow: whether the plan has so little of the bound that what takes longer may well find more.
+        """
+        worthy = self.simple is not False or shallow
+        return not self.brisk and len(self.pieces) > 1 and self.few == several and worthy

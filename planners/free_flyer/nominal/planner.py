@@ -149,7 +149,8 @@ def _plan_task(
             break
         if _exclude_pieces(task, attempt, trials, excluded, max_impacts, budget, options):
             continue
-        if best is not None and not attempt.may_improve(several=len(scenario.objects) > 1):
+        shallow = best is not None and best.robustness < options.deep * best.bound
+        if best is not None and not attempt.may_improve(len(scenario.objects) > 1, shallow):
             continue
         enough = options.enough * (1.0 if options.thorough else 0.5**attempt.halvings)
         few = options.few if attempt.few else None
@@ -164,7 +165,9 @@ def _plan_task(
             continue
         if best is None or plan.robustness > best.robustness:
             best = plan
-        if not options.thorough or climber.rho is None or plan.robustness >= options.satisfying * climber.rho:
+        shallow = bool(attempt.simple) and best.robustness < options.deep * best.bound
+        satisfying = climber.rho is None or plan.robustness >= options.satisfying * climber.rho
+        if not options.thorough or (satisfying and not shallow):
             break
         trials.append(Trial(attempt, climber.failure, climber.rho))
     if best is not None:

@@ -207,7 +207,8 @@ class PlanOptions:
             sequences of all objects grow with each of their impacts.
         enough_less: see there.
         deep: share of the bound of the robustness below which half the margin of speed is tried, too: a plan that is
-            hardly inside its areas fails by small errors of direction, one with fast legs can still wait a little.
+            hardly inside its areas fails by small errors of direction, one with fast legs can still wait a little. With
+            several objects the searches that take longer are made then, too.
         deeper: factor by which the robustness has to grow for that.
         robustness_gap: to which the greatest robustness is proven, relative.
         pieces: numbers of pieces per leg in the order in which they are tried; two let robots turn corners.
