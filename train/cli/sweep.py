@@ -23,9 +23,9 @@ from train.evaluation.case import EVALUATION_SEEDS, TUNING_SEEDS, Case, make_cas
 from train.given_plan import load_plans
 from train.launch.choice import Launch, use_launcher
 from train.launch.launcher import Launcher
-from train.runs import TrainingRun, name_folder
+from train.runs import TrainingRun, check_runs, name_folder
 from train.search.search import Sampling, Trial, check_sampling, find_best, list_trials, run_search
-from train.search.space import Point, Space, list_ends, parse_space
+from train.search.space import Point, Space, check_distinct, list_shown, parse_space, write_value
 from train.settings import list_settings, parse_settings
 
 if TYPE_CHECKING:
@@ -108,13 +108,15 @@ class Command:
         """Return the scenarios in their suites, which a point of the grid names, with the plans that are given."""
         cases = make_cases(self.scenarios, self.suite, parse_settings(self.set) | dict(point))
         return [
-            replace(case, suite=", ".join((case.suite, *map(_write, point))), plan=plans.get(case.scenario.name))
+            replace(case, suite=", ".join((case.suite, *map(write_value, point))), plan=plans.get(case.scenario.name))
             for case in cases
         ]
 
     def _train(self, launcher: Launcher, points: Sequence[Point]) -> dict[str, Any]:
         self._check_learning()
-        return list_runs(launcher, self._make_runs(points))
+        runs = self._make_runs(points)
+        check_runs(runs)
+        return list_runs(launcher, runs)
 
     def _check_learning(self) -> None:
         if self.out is None:
@@ -140,7 +142,7 @@ class Command:
             partial(self._make_cases, plans=self._load_plans()), self.policies, self.episodes, seed, self.single, out,
             launcher, self.launch.workers or 1, self.sampling.maximise or SCORES[0],
         )  # fmt: skip
-        judging.check(list_ends(space))
+        judging.check(list_shown(space))
         names = ("scenarios", "suite", "policies", "episodes", "single", "set", "plan")
         asked = {name: getattr(self, name) for name in names} | {"seed": seed, "maximise": judging.maximise}
         trials = run_search(out, space, self.sampling, asked, judging.score)
@@ -148,7 +150,8 @@ class Command:
         judging.finish([trial.point for trial in trials if trial.score is not None])
         report = judging.report(best.point)
         say_written(out)
-        words = ["--suite", *self.suite, "--policies", self.policies[0], "--set", *self.set, *map(_write, best.point)]
+        values = [*self.set, *map(write_value, best.point)]
+        words = ["--suite", *self.suite, "--policies", self.policies[0], "--set", *values]
         print(f"next: impact evaluate {shlex.join([*self.scenarios, *words])}", file=sys.stderr)
         return _describe_search(trials, best, judging.maximise) | {"report": report}
 
@@ -157,7 +160,7 @@ class Command:
 
         self._check_learning()
         training = Training(lambda point: self._make_runs([point]), launcher, self.sampling.maximise or SCORES[0])
-        training.check(list_ends(space))
+        training.check(list_shown(space))
         names = ("scenarios", "suite", "learn", "seeds", "set")
         asked = {name: getattr(self, name) for name in names} | {"maximise": training.maximise}
         trials = run_search(out, space, self.sampling, asked, training.score)
@@ -179,9 +182,9 @@ class Command:
         values = fixed | dict(point)
         plain: Args | TuneArgs = Args() if self.learn == "train" else TuneArgs()
         learned = {key.removeprefix(LEARNED): value for key, value in values.items() if key.startswith(LEARNED)}
-        world = tuple(_write(item) for item in values.items() if not item[0].startswith(LEARNED))
+        world = tuple(write_value(item) for item in values.items() if not item[0].startswith(LEARNED))
         args = replace(plain, scenarios=(scenario,), suite=(suite,), seed=seed, set=world, **_fit(plain, learned))
-        words = [make_file_name(scenario, suite, *map(_write, point), suffix=""), f"seed{seed}"]
+        words = [make_file_name(scenario, suite, *map(write_value, point), suffix=""), f"seed{seed}"]
         told = (("scenario", scenario), ("suite", suite), *point, ("seed", seed))
         return TrainingRun(self.learn, args, name_folder(self.out, *words), told)
 
@@ -193,7 +196,7 @@ def list_points(grid: Sequence[str]) -> list[Point]:
         grid: KEY=[VALUE, ...] each.
 
     Raises:
-        InputError: a text that gives no list, an empty one, or a key given twice.
+        InputError: a text that gives no list, an empty one, or a key or value given twice.
     """
     axes = list[list[tuple[str, Any]]]()
     for text in grid:
@@ -202,6 +205,7 @@ def list_points(grid: Sequence[str]) -> list[Point]:
             raise InputError(f"--grid {text}: expected KEY=[VALUE, ...], for example true.restitution=[0.5,0.7]")
         if key in [axis[0][0] for axis in axes]:
             raise InputError(f"--grid {key}: is given twice")
+        check_distinct("--grid", key, values)
         axes.append([(key, value) for value in values])
     return list(itertools.product(*axes))
 
@@ -220,13 +224,6 @@ def _choose_best(trials: Sequence[Trial]) -> Trial:
 
 def _describe_search(trials: Sequence[Trial], best: Trial, maximise: str) -> dict[str, Any]:
     return {"trials": list_trials(trials), "best": best.values, "maximised": maximise, "score": best.score}
-
-
-def _write(item: tuple[str, Any]) -> str:
-    """Return a value as --set takes it."""
-    key, value = item
-    text = str(value).lower() if isinstance(value, bool) else str(value)
-    return f"{key}={text}"
 
 
 def _fit(args: Args | TuneArgs, values: dict[str, Any]) -> dict[str, Any]:

@@ -166,9 +166,8 @@ def evaluate_cases(
     if out is not None:
         import pyarrow  # noqa: F401  # that it is missing must not be found out after everything was played
     labels = read_policies(policies)
-    check_request(cases, labels, episodes, seed, workers, sent=launcher is not None or (workers > 1 and not batched))
-    for label in labels if batched else ():
-        check_batched(label)
+    sent = launcher is not None or (workers > 1 and not batched)
+    check_request(cases, labels, episodes, seed, workers, sent, batched)
     jobs = [
         Job(case, label, number, replay=out is not None and number == seed and not batched)
         for case in range(len(cases))
@@ -243,7 +242,13 @@ def _sum_up(
 
 
 def check_request(
-    cases: Sequence[Case], labels: Sequence[str], episodes: int, seed: int, workers: int, sent: bool = False
+    cases: Sequence[Case],
+    labels: Sequence[str],
+    episodes: int,
+    seed: int,
+    workers: int,
+    sent: bool = False,
+    batched: bool = False,
 ) -> None:
     """Raise unless policies, cases and numbers fit together, and can be sent to other processes; see evaluate_cases."""
     check_names("policy", labels)
@@ -258,8 +263,10 @@ def check_request(
             if not is_built_in(label, case.scenario):
                 _check_checkpoint(label, list_variants(case.scenario))
     for case in cases:
-        check_settings(case, labels)
+        check_settings(case, labels, batched)
         check_plan(case, labels)
+    for label in labels if batched else ():
+        check_batched(label)
     announce(labels)
     if sent:
         _check_sendable(labels)
