@@ -16,7 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 from impact_envs.errors import InputError, choices
 from impact_envs.file import make_file_name
 from train.arguments import Args, TuneArgs
-from train.cli.progress import say_written
+from train.cli.progress import say_kept, say_written
 from train.cli.seeds import list_runs
 from train.errors import NothingFound
 from train.evaluation.case import EVALUATION_SEEDS, TUNING_SEEDS, Case, make_cases
@@ -77,11 +77,26 @@ class Command:
     def run(self) -> dict[str, Any]:
         """Return the evaluation's rows and paired differences, or a row of each run; of a search its trials."""
         check_sampling(self.sampling)
+        self._check_meant()
         points = list_points(self.grid)
         with use_launcher(self.launch) as launcher:
             if self.sampling.sample:
                 return self._search(launcher)
             return self._judge(launcher, points) if self.learn is None else self._train(launcher, points)
+
+    def _check_meant(self) -> None:
+        """Raise if an option is given that nothing looks at.
+
+        Raises:
+            InputError: naming it.
+        """
+        plain = Command(())
+        for name in ("seeds",) if self.learn is None else ("policies", "episodes", "seed", "single"):
+            value = getattr(self, name)
+            if value != getattr(plain, name):
+                given = value if isinstance(value, tuple) else () if value is True else (value,)
+                why = "needs --learn, what is trained" if self.learn is None else "is for judging, not for --learn"
+                raise InputError(f"{' '.join((f'--{name}', *map(str, given)))}: {why}")
 
     def _judge(self, launcher: Launcher, points: Sequence[Point]) -> dict[str, Any]:
         from train.evaluation.evaluate import evaluate_cases
@@ -99,6 +114,7 @@ class Command:
             launcher=launcher if launcher.remote else None,
         )
         say_written(result.out)
+        say_kept(result.others, result.out)
         return {"rows": result.rows, "paired": result.paired, "set": parse_settings(self.set)}
 
     def _load_plans(self) -> dict[str, Plan]:

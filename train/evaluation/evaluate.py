@@ -62,6 +62,7 @@ class EvaluationResult:
         episodes_played: how many were played now; the rest came from the output directory.
         wall_seconds: duration, planning included [s].
         out: where the files are, a folder or its URI; None if nothing was written.
+        others: how many episodes of other requests are kept there, which are not in the tables.
     """
 
     rows: list[dict[str, Any]]
@@ -70,6 +71,7 @@ class EvaluationResult:
     episodes_played: int
     wall_seconds: float
     out: Path | str | None
+    others: int = 0
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as one JSON object, without the single episodes."""
@@ -190,7 +192,7 @@ def evaluate_cases(
         # Closed, not left to the garbage collector: an interruption must reach the workers at once.
         with (
             end_on_sigterm(),
-            Progress(*bar, console=Console(stderr=True), disable=not progress) as shown,
+            Progress(*bar, console=Console(stderr=True), disable=not (progress and missing)) as shown,
             closing(_play(cases, labels, missing, batched, workers, out, launcher, sizes or ShardSizes())) as outcomes,
         ):
             for place, (row, replay) in enumerate(shown.track(outcomes, total=len(missing))):
@@ -235,7 +237,8 @@ def _sum_up(
     pairs = [pair | compare_metrics(table, pair, domains[pair["scenario"]]) for pair in compare(table)]
     folder = (getattr(journal.folder, "path", None) or str(journal.folder)) if journal else None
     rows, seconds = summarize(table, domains), time.perf_counter() - start
-    result = EvaluationResult(rows, pairs, table, played, seconds, folder)
+    others = len(journal.rows) - len(table) if journal else 0
+    result = EvaluationResult(rows, pairs, table, played, seconds, folder, others)
     if journal:
         _write(journal, result)
     return result
