@@ -236,13 +236,23 @@ def _choose(scenario: Scenario, variant: str | None, options: Mapping[str, Any] 
     return {"variant": variant, "options": replace_options(get_options(variant), options)}
 
 
-def check_options(scenario: Scenario, options: Mapping[str, Any], variant: str | None = None) -> None:
+def check_options(
+    scenario: Scenario, options: Mapping[str, Any], variant: str | None = None, many: bool = False
+) -> None:
     """Raise unless a scenario's expert has the options, and they fit.
 
+    Args:
+        scenario: whose expert it is.
+        options: dotted name to value.
+        variant: of the expert.
+        many: whether it is an expert of many worlds.
+
     Raises:
-        InputError: as make_expert.
+        InputError: as make_expert, or as make_expert_batch.
     """
-    _choose(scenario, variant, options)
+    chosen, check = _choose(scenario, variant, options), find_part("planners", scenario.domain, "CHECK_OPTIONS")
+    if check is not None and "options" in chosen:
+        check(chosen["options"], many)
 
 
 def list_options(scenario: Scenario, variant: str | None = None) -> dict[str, Any]:

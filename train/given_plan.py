@@ -133,9 +133,11 @@ def load_plans(
 
 
 def _name_plans(texts: Sequence[str], scenarios: Sequence[str]) -> dict[str, Path]:
-    """Return scenarios to paths; a path may have an = of its own where there is one scenario."""
+    """Return scenarios to paths; the path of a file may have an = of its own where there is one scenario."""
     if len(texts) == len(scenarios) == 1 and not texts[0].startswith(f"{scenarios[0]}="):
-        return {scenarios[0]: Path(texts[0])}
+        named = "=" in texts[0] and "/" not in texts[0].partition("=")[0]
+        if not named or Path(texts[0]).exists():
+            return {scenarios[0]: Path(texts[0])}
     paths = dict[str, Path]()
     for text in texts:
         name, equals, path = text.partition("=")

@@ -56,7 +56,7 @@ def read_cases(args: Args) -> list[Case]:
     check_names("scenario", args.scenarios)
     cases = [make_case(scenario, suite, settings) for scenario in args.scenarios for suite in suites]
     for case in cases:
-        check_options(case.scenario, case.options, args.variant)
+        check_options(case.scenario, case.options, args.variant, many=True)
     return cases
 
 

@@ -85,10 +85,7 @@ def launch_runs(
         Diverged: a run's weights are no longer finite.
         WorkerLost: a run lost its process too often.
     """
-    folders = [run.out for run in runs]
-    if len(set(folders)) < len(folders):
-        twice = next(folder for folder in folders if folders.count(folder) > 1)
-        raise InputError(f"two runs of the same folder {twice}: a seed, scenario, suite or value is given twice")
+    _check_folders(runs)
     many = launcher.remote or getattr(launcher, "workers", 1) > 1
     asked = [replace(run, args=_quieten(run.args, many)) for run in runs]
     names = sorted({name for run in runs for name in run.args.scenarios})
@@ -102,7 +99,7 @@ def launch_runs(
         for out, result in ended:
             found[out] = result
             watch.advance(len(found))
-    return [found[folder] for folder in folders]
+    return [found[run.out] for run in runs]
 
 
 def _quieten(args: Args | TuneArgs, many: bool) -> Any:
@@ -162,6 +159,25 @@ def do_run(run: TrainingRun) -> dict[str, Any]:
     return result
 
 
+def check_runs(runs: Sequence[TrainingRun]) -> None:
+    """Raise unless all runs make sense that have not begun, before the first of them is done.
+
+    Raises:
+        InputError: one line naming the argument, its value and the limit, or the folder of two runs.
+    """
+    _check_folders(runs)
+    for run in runs:
+        if open_folder(run.out).read(RESULT) is None:
+            check_run(run)
+
+
+def _check_folders(runs: Sequence[TrainingRun]) -> None:
+    folders = [run.out for run in runs]
+    if len(set(folders)) < len(folders):
+        twice = next(folder for folder in folders if folders.count(folder) > 1)
+        raise InputError(f"two runs of the same folder {twice}: a seed, scenario, suite or value is given twice")
+
+
 def check_run(run: TrainingRun) -> None:
     """Raise unless a run's arguments make sense, before anything is written.
 
@@ -169,15 +185,18 @@ def check_run(run: TrainingRun) -> None:
         InputError: one line naming the argument, its value and the limit.
     """
     # Imported here: that a run has ended is found out without a learner.
+    from train.ground import fill_args, read_cases
+
     if isinstance(run.args, TuneArgs):
         from train.tune import check_args as check_tuning
 
-        return check_tuning(run.args)
-    from train.ground import fill_args, read_cases
+        check_tuning(run.args)
+        read_cases(Args(run.args.scenarios, suite=run.args.suite, set=run.args.set, variant=run.args.variant))
+        return
     from train.residual import check_args
 
     # In its own folder, not in the script's usual one, where there may be another run.
-    return check_args(fill_args(replace(run.args, out=Path(run.out)), read_cases(run.args)))
+    check_args(fill_args(replace(run.args, out=Path(run.out)), read_cases(run.args)))
 
 
 def _run_elsewhere(run: TrainingRun, folder: Folder, here: Path) -> dict[str, Any]:

@@ -38,7 +38,7 @@ from planners.free_flyer.next_impact.rest_qp import make_rest_qp
 from planners.free_flyer.tracking.mpc import make_workspace
 from planners.free_flyer.tracking.problem import build_tracking_problem
 from planners.free_flyer.tracking.protocol import Tracker, call_tracker
-from planners.free_flyer.tracking.trackers import find_tracker
+from planners.free_flyer.tracking.trackers import check_tracker, find_tracker
 from planners.plan import Plan
 
 # Counters of normal operation, not counted as fallbacks.
@@ -78,6 +78,22 @@ def check_plan(scenario: FreeFlyerScenario, plan: Plan) -> None:
         )
     if not math.isclose(plan.horizon, scenario.horizon):
         raise InputError(f"the plan lasts {plan.horizon:g} s, scenario {scenario.name} lasts {scenario.horizon:g} s")
+
+
+def check_options(options: Options, many: bool) -> None:
+    """Raise unless the options name a tracker that there is.
+
+    Args:
+        options: of the expert.
+        many: whether it is an expert of many worlds.
+
+    Raises:
+        InputError: they do not.
+    """
+    try:
+        check_tracker(options.tracker, many)
+    except InputError as error:
+        raise InputError(f"expert.{error}") from None
 
 
 class FreeFlyerExpert:

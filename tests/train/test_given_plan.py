@@ -49,6 +49,13 @@ def test_what_names_no_plan_is_refused(texts: list[str], said: str) -> None:
         load_plans(make_cases([*FILES], ["hard"]), texts)
 
 
+def test_a_plan_of_another_scenario_is_refused_where_there_is_one() -> None:
+    with pytest.raises(InputError, match=r"--plan pong=x.json: scenario 'pong' is not asked for; choices: corridor"):
+        load_plans(make_cases(["corridor"], ["hard"]), ["pong=x.json"])
+    with pytest.raises(InputError, match=r"a/b=x.json: cannot be read"):
+        load_plans(make_cases(["corridor"], ["hard"]), ["a/b=x.json"])
+
+
 def test_bodies_are_renamed_in_one_plan_only() -> None:
     with pytest.raises(InputError, match="--rename a=b: is for one plan, got 2"):
         load_plans(make_cases([*FILES], ["hard"]), GIVEN, ("a=b",))

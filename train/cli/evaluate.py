@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal
 from tyro.conf import OmitArgPrefixes, Positional
 
 from impact_envs.errors import InputError
-from train.cli.progress import say_written
+from train.cli.progress import say_kept, say_written
 from train.evaluation.case import EVALUATION_SEEDS, make_cases
 from train.given_plan import check_plan_options, load_plans
 from train.launch.choice import Launch, use_launcher
@@ -78,6 +78,7 @@ class Command:
             )
         if result.out is not None:
             say_written(result.out)
+            say_kept(result.others, result.out)
             if isinstance(result.out, Path):
                 print(f"next: impact report {shlex.quote(str(self.out))}", file=sys.stderr)
         return {"rows": result.rows, "paired": result.paired, "set": settings} | self._describe_plan()

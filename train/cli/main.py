@@ -135,8 +135,15 @@ def _one_line(box: str) -> str:
     """Return the text of tyro's message box as one line."""
     lines = [re.sub(r"\x1b\[[0-9;]*m|[^\x20-\x7e]", " ", line).strip(" -+|") for line in box.splitlines()]
     title, *rest = [re.sub(r"\s+", " ", line) for line in lines if line and "--help" not in line] or ["bad arguments"]
-    text = " ".join(rest)
+    # tyro lists choices without an order, and among them None where an option may be left out.
+    text = re.sub(r"(?<=Expected one of )\(([^()]*)\)", _list_choices, " ".join(rest))
     return text if text.lower().startswith(title.lower()) or title == "Value error" else f"{title}: {text}"
+
+
+def _list_choices(listed: re.Match[str]) -> str:
+    """Return the choices of a message as text, without None."""
+    names = sorted(set(listed[1].split(", ")) - {"'None'"})
+    return f"({', '.join(names)})"
 
 
 def _plain(value: Any) -> Any:

@@ -92,6 +92,13 @@ def stop_on_interrupt() -> Iterator[Clock]:
             signal.signal(signal.SIGINT, before)
 
 
+def say_kept(others: int, out: Path | str | None) -> None:
+    """Say on standard error how many rows of an evaluation's folder its tables leave out, if any."""
+    if others:
+        kept = f"{out}: keeps {others} rows that were not asked for now; they are not in its tables"
+        print(kept, file=sys.stderr, flush=True)
+
+
 def say_written(*paths: Path | str | None) -> None:
     """Say on standard error which files were written; None stands for a file that was not wanted."""
     for path in paths:

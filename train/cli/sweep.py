@@ -16,16 +16,16 @@ from tyro.conf import OmitArgPrefixes, Positional
 from impact_envs.errors import InputError, choices
 from impact_envs.file import make_file_name
 from train.arguments import Args, TuneArgs
-from train.cli.progress import say_written
+from train.cli.progress import say_kept, say_written
 from train.cli.seeds import list_runs
 from train.errors import NothingFound
 from train.evaluation.case import EVALUATION_SEEDS, TUNING_SEEDS, Case, make_cases
 from train.given_plan import load_plans
 from train.launch.choice import Launch, use_launcher
 from train.launch.launcher import Launcher
-from train.runs import TrainingRun, name_folder
+from train.runs import TrainingRun, check_runs, name_folder
 from train.search.search import Sampling, Trial, check_sampling, find_best, list_trials, run_search
-from train.search.space import Point, Space, list_ends, parse_space
+from train.search.space import Point, Space, check_distinct, list_shown, parse_space, write_value
 from train.settings import list_settings, parse_settings
 
 if TYPE_CHECKING:
@@ -77,11 +77,26 @@ class Command:
     def run(self) -> dict[str, Any]:
         """Return the evaluation's rows and paired differences, or a row of each run; of a search its trials."""
         check_sampling(self.sampling)
+        self._check_meant()
         points = list_points(self.grid)
         with use_launcher(self.launch) as launcher:
             if self.sampling.sample:
                 return self._search(launcher)
             return self._judge(launcher, points) if self.learn is None else self._train(launcher, points)
+
+    def _check_meant(self) -> None:
+        """Raise if an option is given that nothing looks at.
+
+        Raises:
+            InputError: naming it.
+        """
+        plain = Command(())
+        for name in ("seeds",) if self.learn is None else ("policies", "episodes", "seed", "single"):
+            value = getattr(self, name)
+            if value != getattr(plain, name):
+                given = value if isinstance(value, tuple) else () if value is True else (value,)
+                why = "needs --learn, what is trained" if self.learn is None else "is for judging, not for --learn"
+                raise InputError(f"{' '.join((f'--{name}', *map(str, given)))}: {why}")
 
     def _judge(self, launcher: Launcher, points: Sequence[Point]) -> dict[str, Any]:
         from train.evaluation.evaluate import evaluate_cases
@@ -99,6 +114,7 @@ class Command:
             launcher=launcher if launcher.remote else None,
         )
         say_written(result.out)
+        say_kept(result.others, result.out)
         return {"rows": result.rows, "paired": result.paired, "set": parse_settings(self.set)}
 
     def _load_plans(self) -> dict[str, Plan]:
@@ -108,13 +124,15 @@ class Command:
         """Return the scenarios in their suites, which a point of the grid names, with the plans that are given."""
         cases = make_cases(self.scenarios, self.suite, parse_settings(self.set) | dict(point))
         return [
-            replace(case, suite=", ".join((case.suite, *map(_write, point))), plan=plans.get(case.scenario.name))
+            replace(case, suite=", ".join((case.suite, *map(write_value, point))), plan=plans.get(case.scenario.name))
             for case in cases
         ]
 
     def _train(self, launcher: Launcher, points: Sequence[Point]) -> dict[str, Any]:
         self._check_learning()
-        return list_runs(launcher, self._make_runs(points))
+        runs = self._make_runs(points)
+        check_runs(runs)
+        return list_runs(launcher, runs)
 
     def _check_learning(self) -> None:
         if self.out is None:
@@ -140,7 +158,7 @@ class Command:
             partial(self._make_cases, plans=self._load_plans()), self.policies, self.episodes, seed, self.single, out,
             launcher, self.launch.workers or 1, self.sampling.maximise or SCORES[0],
         )  # fmt: skip
-        judging.check(list_ends(space))
+        judging.check(list_shown(space))
         names = ("scenarios", "suite", "policies", "episodes", "single", "set", "plan")
         asked = {name: getattr(self, name) for name in names} | {"seed": seed, "maximise": judging.maximise}
         trials = run_search(out, space, self.sampling, asked, judging.score)
@@ -148,7 +166,8 @@ class Command:
         judging.finish([trial.point for trial in trials if trial.score is not None])
         report = judging.report(best.point)
         say_written(out)
-        words = ["--suite", *self.suite, "--policies", self.policies[0], "--set", *self.set, *map(_write, best.point)]
+        values = [*self.set, *map(write_value, best.point)]
+        words = ["--suite", *self.suite, "--policies", self.policies[0], "--set", *values]
         print(f"next: impact evaluate {shlex.join([*self.scenarios, *words])}", file=sys.stderr)
         return _describe_search(trials, best, judging.maximise) | {"report": report}
 
@@ -157,7 +176,7 @@ class Command:
 
         self._check_learning()
         training = Training(lambda point: self._make_runs([point]), launcher, self.sampling.maximise or SCORES[0])
-        training.check(list_ends(space))
+        training.check(list_shown(space))
         names = ("scenarios", "suite", "learn", "seeds", "set")
         asked = {name: getattr(self, name) for name in names} | {"maximise": training.maximise}
         trials = run_search(out, space, self.sampling, asked, training.score)
@@ -179,9 +198,9 @@ class Command:
         values = fixed | dict(point)
         plain: Args | TuneArgs = Args() if self.learn == "train" else TuneArgs()
         learned = {key.removeprefix(LEARNED): value for key, value in values.items() if key.startswith(LEARNED)}
-        world = tuple(_write(item) for item in values.items() if not item[0].startswith(LEARNED))
+        world = tuple(write_value(item) for item in values.items() if not item[0].startswith(LEARNED))
         args = replace(plain, scenarios=(scenario,), suite=(suite,), seed=seed, set=world, **_fit(plain, learned))
-        words = [make_file_name(scenario, suite, *map(_write, point), suffix=""), f"seed{seed}"]
+        words = [make_file_name(scenario, suite, *map(write_value, point), suffix=""), f"seed{seed}"]
         told = (("scenario", scenario), ("suite", suite), *point, ("seed", seed))
         return TrainingRun(self.learn, args, name_folder(self.out, *words), told)
 
@@ -193,7 +212,7 @@ def list_points(grid: Sequence[str]) -> list[Point]:
         grid: KEY=[VALUE, ...] each.
 
     Raises:
-        InputError: a text that gives no list, an empty one, or a key given twice.
+        InputError: a text that gives no list, an empty one, or a key or value given twice.
     """
     axes = list[list[tuple[str, Any]]]()
     for text in grid:
@@ -202,6 +221,7 @@ def list_points(grid: Sequence[str]) -> list[Point]:
             raise InputError(f"--grid {text}: expected KEY=[VALUE, ...], for example true.restitution=[0.5,0.7]")
         if key in [axis[0][0] for axis in axes]:
             raise InputError(f"--grid {key}: is given twice")
+        check_distinct("--grid", key, values)
         axes.append([(key, value) for value in values])
     return list(itertools.product(*axes))
 
@@ -220,13 +240,6 @@ def _choose_best(trials: Sequence[Trial]) -> Trial:
 
 def _describe_search(trials: Sequence[Trial], best: Trial, maximise: str) -> dict[str, Any]:
     return {"trials": list_trials(trials), "best": best.values, "maximised": maximise, "score": best.score}
-
-
-def _write(item: tuple[str, Any]) -> str:
-    """Return a value as --set takes it."""
-    key, value = item
-    text = str(value).lower() if isinstance(value, bool) else str(value)
-    return f"{key}={text}"
 
 
 def _fit(args: Args | TuneArgs, values: dict[str, Any]) -> dict[str, Any]:

@@ -107,8 +107,13 @@ def has_expert(policy: str) -> bool:
     return not is_shared(Path(policy))
 
 
-def check_settings(case: Case, policies: Sequence[str]) -> None:
+def check_settings(case: Case, policies: Sequence[str], many: bool = False) -> None:
     """Raise unless the experts of the policies are there, and have the changed options.
+
+    Args:
+        case: world to be judged in.
+        policies: that play.
+        many: whether they play many worlds at once.
 
     Raises:
         InputError: an option is unknown or its value does not fit, or no policy has an expert, or none can be told the
@@ -123,7 +128,7 @@ def check_settings(case: Case, policies: Sequence[str]) -> None:
     if not experts:
         raise InputError(f"{EXPERT}{next(iter(case.options))}: policy {', '.join(policies)} has no expert to set")
     for policy in experts:
-        check_options(case.scenario, case.options, policy if policy in variants else None)
+        check_options(case.scenario, case.options, policy if policy in variants else None, many)
 
 
 def check_plan(case: Case, policies: Sequence[str]) -> None:

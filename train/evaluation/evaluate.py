@@ -62,6 +62,7 @@ class EvaluationResult:
         episodes_played: how many were played now; the rest came from the output directory.
         wall_seconds: duration, planning included [s].
         out: where the files are, a folder or its URI; None if nothing was written.
+        others: how many episodes of other requests are kept there, which are not in the tables.
     """
 
     rows: list[dict[str, Any]]
@@ -70,6 +71,7 @@ class EvaluationResult:
     episodes_played: int
     wall_seconds: float
     out: Path | str | None
+    others: int = 0
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as one JSON object, without the single episodes."""
@@ -166,9 +168,8 @@ def evaluate_cases(
     if out is not None:
         import pyarrow  # noqa: F401  # that it is missing must not be found out after everything was played
     labels = read_policies(policies)
-    check_request(cases, labels, episodes, seed, workers, sent=launcher is not None or (workers > 1 and not batched))
-    for label in labels if batched else ():
-        check_batched(label)
+    sent = launcher is not None or (workers > 1 and not batched)
+    check_request(cases, labels, episodes, seed, workers, sent, batched)
     jobs = [
         Job(case, label, number, replay=out is not None and number == seed and not batched)
         for case in range(len(cases))
@@ -191,7 +192,7 @@ def evaluate_cases(
         # Closed, not left to the garbage collector: an interruption must reach the workers at once.
         with (
             end_on_sigterm(),
-            Progress(*bar, console=Console(stderr=True), disable=not progress) as shown,
+            Progress(*bar, console=Console(stderr=True), disable=not (progress and missing)) as shown,
             closing(_play(cases, labels, missing, batched, workers, out, launcher, sizes or ShardSizes())) as outcomes,
         ):
             for place, (row, replay) in enumerate(shown.track(outcomes, total=len(missing))):
@@ -236,14 +237,21 @@ def _sum_up(
     pairs = [pair | compare_metrics(table, pair, domains[pair["scenario"]]) for pair in compare(table)]
     folder = (getattr(journal.folder, "path", None) or str(journal.folder)) if journal else None
     rows, seconds = summarize(table, domains), time.perf_counter() - start
-    result = EvaluationResult(rows, pairs, table, played, seconds, folder)
+    others = len(journal.rows) - len(table) if journal else 0
+    result = EvaluationResult(rows, pairs, table, played, seconds, folder, others)
     if journal:
         _write(journal, result)
     return result
 
 
 def check_request(
-    cases: Sequence[Case], labels: Sequence[str], episodes: int, seed: int, workers: int, sent: bool = False
+    cases: Sequence[Case],
+    labels: Sequence[str],
+    episodes: int,
+    seed: int,
+    workers: int,
+    sent: bool = False,
+    batched: bool = False,
 ) -> None:
     """Raise unless policies, cases and numbers fit together, and can be sent to other processes; see evaluate_cases."""
     check_names("policy", labels)
@@ -258,8 +266,10 @@ def check_request(
             if not is_built_in(label, case.scenario):
                 _check_checkpoint(label, list_variants(case.scenario))
     for case in cases:
-        check_settings(case, labels)
+        check_settings(case, labels, batched)
         check_plan(case, labels)
+    for label in labels if batched else ():
+        check_batched(label)
     announce(labels)
     if sent:
         _check_sendable(labels)

@@ -11,7 +11,6 @@ import numpy as np
 from impact_envs.errors import InputError, choices
 from planners.errors import PlanningError
 from planners.plan import Plan
-from train.evaluation.batch_player import check_batched
 from train.evaluation.case import REPORT_SEEDS, TUNING_SEEDS, Case
 from train.evaluation.evaluate import EvaluationResult, check_request, evaluate_cases, make_plans
 from train.evaluation.own_policy import read_policies
@@ -63,11 +62,11 @@ class Judging:
                 f"--seed {self.seed}, --episodes {self.episodes}: a search scores on tuning seeds, {TUNING_SEEDS} to "
                 f"{REPORT_SEEDS - 1}, never on those that judge what it found"
             )
-        labels = read_policies(self.policies)
-        for label in labels if not self.single else ():
-            check_batched(label)
+        labels, batched = read_policies(self.policies), not self.single
         for point in points:
-            check_request(self.make_cases(point), labels, self.episodes, self.seed, self.workers)
+            check_request(
+                self.make_cases(point), labels, self.episodes, self.seed, self.workers, self.launcher.remote, batched
+            )
 
     def score(self, points: Sequence[Point]) -> list[float | str]:
         """Return each point's score, or a line that says why its expert has no plan."""

@@ -182,7 +182,7 @@ def _read_record(folder: Folder, asked: dict[str, Any]) -> Record:
     if data is None:
         return Record(asked=asked, trials=[])
     record = parse_record(Record, data, f"{folder}/{RECORD}")
-    for name in asked.keys() | record.asked.keys():
+    for name in asked | record.asked:  # in the order of the command's options
         before, now = record.asked.get(name), asked.get(name)
         if before != now:
             raise InputError(f"{folder}: holds a search with {name} {before}, not {now}; choose another out")

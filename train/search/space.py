@@ -35,8 +35,8 @@ class Range:
         return isinstance(self.low, int) and isinstance(self.high, int)
 
     @property
-    def ends(self) -> tuple[Any, Any]:
-        """Return the first and the last value."""
+    def shown(self) -> tuple[Any, ...]:
+        """Return the values that are checked: what is right at both ends is right between them."""
         return self.low, self.high
 
 
@@ -53,9 +53,9 @@ class Choice:
     values: tuple[Any, ...]
 
     @property
-    def ends(self) -> tuple[Any, Any]:
-        """Return the first and the last value."""
-        return self.values[0], self.values[-1]
+    def shown(self) -> tuple[Any, ...]:
+        """Return the values that are checked: all."""
+        return self.values
 
 
 Space = tuple[Range | Choice, ...]
@@ -78,9 +78,41 @@ def parse_space(texts: Sequence[str]) -> Space:
     return space
 
 
-def list_ends(space: Space) -> list[Point]:
-    """Return the point of all first values and that of all last ones: what is wrong with a key shows there."""
-    return [tuple((dimension.key, dimension.ends[place]) for dimension in space) for place in (0, 1)]
+def list_shown(space: Space) -> list[Point]:
+    """Return points in which every choice and both ends of every range stand: what is wrong with one shows there.
+
+    As few as the longest list has values: not every combination of them.
+    """
+    count = max((len(dimension.shown) for dimension in space), default=0)
+    return [
+        tuple((dimension.key, dimension.shown[min(place, len(dimension.shown) - 1)]) for dimension in space)
+        for place in range(count)
+    ]
+
+
+def write_value(item: tuple[str, Any]) -> str:
+    """Return a value as --set takes it."""
+    key, value = item
+    text = str(value).lower() if isinstance(value, bool) else str(value)
+    return f"{key}={text}"
+
+
+def check_distinct(option: str, key: str, values: Sequence[Any]) -> None:
+    """Raise if a value is in a list twice, or one that is written like another.
+
+    Args:
+        option: that the list was given to.
+        key: name of the value.
+        values: the list.
+
+    Raises:
+        InputError: naming the value.
+    """
+    for place, value in enumerate(values):
+        for before in values[:place]:
+            same = value == before and isinstance(value, bool) == isinstance(before, bool)
+            if same or write_value((key, value)) == write_value((key, before)):
+                raise InputError(f"{option} {key}=[...]: {value} is given twice")
 
 
 def _parse_dimension(text: str) -> Range | Choice:
@@ -88,6 +120,7 @@ def _parse_dimension(text: str) -> Range | Choice:
     if key and value.startswith("["):
         values = parse_settings([text])[key]
         if isinstance(values, list) and values:
+            check_distinct("--sample", key, values)
             return Choice(key, tuple(values))
     ends, scale = value.split(","), ""
     if len(ends) == 3:

@@ -11,7 +11,7 @@ import numpy as np
 from impact_envs.errors import InputError, choices
 from train.arguments import Args
 from train.launch.launcher import Launcher
-from train.runs import TrainingRun, check_run, launch_runs
+from train.runs import TrainingRun, check_runs, launch_runs
 from train.search.space import Point
 
 SCORES = ("low", "gain", "success_rate")
@@ -39,8 +39,9 @@ class Training:
         """
         if self.maximise not in SCORES:
             raise InputError(f"--maximise {self.maximise}: is unknown; {choices(self.maximise, SCORES)}")
-        for run in (run for point in points for run in self.make_runs(point)):
-            check_run(run)
+        runs = [run for point in points for run in self.make_runs(point)]
+        check_runs(runs)
+        for run in runs:
             if isinstance(run.args, Args) and run.args.eval_every == 0:
                 raise InputError("learn.eval_every=0: a search needs evaluations on tuning seeds")
 

@@ -44,9 +44,24 @@ def find_tracker(chosen: str | Tracker) -> tuple[str, Tracker | None]:
         from planners.free_flyer.tracking.published_mpc import PublishedTracker
 
         return chosen, PublishedTracker()
-    if chosen not in COMPILED:
-        raise InputError(f"tracker '{chosen}' is unknown; {choices(chosen, TRACKERS)}")
+    check_tracker(chosen)
     return chosen, None
+
+
+def check_tracker(name: str, many: bool = False) -> None:
+    """Raise unless there is a tracker of this name; none is made.
+
+    Args:
+        name: of the tracker.
+        many: whether it is to follow many worlds.
+
+    Raises:
+        InputError: an unknown name, or one that follows one world.
+    """
+    if name not in TRACKERS:
+        raise InputError(f"tracker '{name}' is unknown; {choices(name, COMPILED if many else TRACKERS)}")
+    if many and name not in COMPILED:
+        raise InputError(f"tracker '{name}' follows one world; experts of many worlds take {' or '.join(COMPILED)}")
 
 
 def check_compiled(chosen: str | Tracker) -> str:

@@ -128,6 +128,9 @@ def test_another_search_in_the_folder_is_refused(tmp_path: Path) -> None:
         search(tmp_path, sampling, suite=["all"])
     with pytest.raises(InputError, match="holds a search with together 4, not 5"):
         search(tmp_path, replace(sampling, together=5), suite=["hard"])
+    for _ in range(2):  # of several differences the first one is told
+        with pytest.raises(InputError, match="holds a search with suite"):
+            search(tmp_path, replace(sampling, together=5, search_seed=1), suite=["all"])
     record = json.loads((tmp_path / "search.json").read_text())
     (tmp_path / "search.json").write_text(json.dumps(record | {"trials": [{}]}))
     with pytest.raises(InputError, match=r"search.json: trials.0.values: Field required"):

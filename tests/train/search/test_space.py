@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from impact_envs import InputError
-from train.search.space import Choice, Range, list_ends, parse_space
+from train.search.space import Choice, Range, list_shown, parse_space
 
 
 def test_ranges_and_lists_are_read() -> None:
@@ -18,7 +18,11 @@ def test_ranges_and_lists_are_read() -> None:
         Choice("e", ("x", "y", "z")),
     )
     assert [isinstance(one, Range) and one.whole for one in space] == [False, True, False, False, False]
-    assert list_ends(space)[1] == (("a", 2), ("b", 8), ("c", 1e-2), ("d", [8, 8]), ("e", "z"))
+    assert list_shown(space) == [
+        (("a", 0.1), ("b", 1), ("c", 1e-4), ("d", [8]), ("e", "x")),
+        (("a", 2), ("b", 8), ("c", 1e-2), ("d", [8, 8]), ("e", "y")),
+        (("a", 2), ("b", 8), ("c", 1e-2), ("d", [8, 8]), ("e", "z")),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -47,3 +51,10 @@ def test_what_is_none_is_one_line(text: str, said: str) -> None:
 def test_a_key_is_given_once() -> None:
     with pytest.raises(InputError, match="--sample a: is given twice"):
         parse_space(["a=1,2", "a=[3]"])
+
+
+@pytest.mark.parametrize("values", ["[1,2,1]", "[1,1.0]", "['1',1]", "[[8],[8]]"])
+def test_a_choice_is_given_once(values: str) -> None:
+    with pytest.raises(InputError, match=r"--sample a=\[...\]: .* is given twice"):
+        parse_space([f"a={values}"])
+    assert parse_space(["a=[true,1]"]) == (Choice("a", (True, 1)),)

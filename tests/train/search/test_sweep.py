@@ -104,6 +104,18 @@ def test_a_search_that_was_killed_goes_on_to_the_same_trials(
         (["--sample", "true.drift=0.0,0.1", "--out", "x", "--seed", "1499900"], "1000000 to 1499999"),
         (["--sample", "true.drift=0.0,0.1", "--out", "x", "--maximise", "low"], "--maximise low: is unknown"),
         (["--sample", "true.drift=0.0,0.1", "--out", "x", "--policies", "random"], "sweep: add --single"),
+        (
+            ["--sample", "expert.tracker=['lqr','x','mpc']", "--out", "x", "--policies", "expert"],
+            "expert.tracker 'x' is unknown; choices: mpc, lqr",
+        ),
+        (
+            ["--learn", "tune", "--sample", "expert.tracker=['lqr','x','mpc']", "--out", "x"],
+            "expert.tracker 'x' is unknown",
+        ),
+        (
+            ["--learn", "tune", "--sample", "learn.spread=0.1,0.2", "--seeds", "3", "3", "--out", "x"],
+            "a seed, scenario, suite or value is given twice",
+        ),
         (["--learn", "train", "--sample", "learn.worst=0.5,2.0", "--out", "x", "--maximise", "x"], "--maximise x: is"),
         (["--learn", "train", "--sample", "learn.learning_rate=0.1,9.0", "--out", "x"], "learning_rate 9: choices"),
         (
