@@ -194,9 +194,9 @@ def check_claim(claim: Claim, scenario: FreeFlyerScenario, unchanged: FreeFlyerS
             raise InputError(f"objects.{name} is a polygon; a certificate is for discs only")
     for impact in claim.impacts:
         if impact.robot not in scenario.robots or impact.object not in scenario.objects:
-            name, known = impact.robot, scenario.robots.keys()
+            name, known = impact.robot, list(scenario.robots)
             if name in known:
-                name, known = impact.object, scenario.objects.keys()
+                name, known = impact.object, list(scenario.objects)
             pair = f"{impact.robot} on {impact.object}"
             raise InputError(
                 f"the impact at {float(impact.time):g} s is of {pair}: '{name}' is unknown; {choices(name, known)}"
