@@ -284,6 +284,10 @@ class Scenario(Table):
     def _shorten_formula(self, formula: Formula, horizon: float) -> str:
         return str(formula.scale_time(horizon / self.horizon).move_to_samples(self.control_period))
 
+    def list_suites(self) -> list[str]:
+        """Return the names of its suites: those of its domain, then its own."""
+        return list(self._suites())
+
     def _suites(self) -> dict[str, dict[str, Any]]:
         shipped = tomllib.loads(self.suite_file.read_text()) if self.suite_file else {}
         return {**shipped, **self.suites}

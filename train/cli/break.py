@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError
@@ -28,9 +28,9 @@ class Command:
     """Search the worlds that a suite may draw for failures of a policy, and write the mildest of each cause."""
 
     extras: ClassVar[tuple[str, ...]] = ("plan", "report")
-    policy: Positional[str]
+    policy: Annotated[Positional[str], arg(metavar="POLICY")]
     """As impact evaluate --batched takes it; not the oracle."""
-    scenario: Positional[str]
+    scenario: Annotated[Positional[str], arg(metavar="SCENARIO")]
     """Shipped name or TOML file."""
     suite: str = "hard"
     """Suite whose ranges are searched."""
@@ -42,7 +42,7 @@ class Command:
     expert.plan_anew=false. The policy itself plays the mildest of its failures again; counterexamples are those in
     which it fails too, made milder and measured with it. Where the stand-in succeeds nobody looks."""
     episodes: int = 3000
-    """Of the search."""
+    """Of the search, rounded to whole rounds of 64 or more that are played together: 300 plays 320."""
     method: Literal["random", "cross_entropy", "cma"] = "cross_entropy"
     """How worlds are chosen, after 40 % at random; cma needs the package cma."""
     seed: int = 1_000_000
@@ -167,6 +167,8 @@ class Command:
                 raise InputError(f"--{name} {getattr(self, name)}: at least 1 is needed")
         if self.out is not None and not self.out.absolute().parent.is_dir():
             raise InputError(f"cannot write {self.out}: folder {self.out.absolute().parent} does not exist")
+        if self.out is not None and self.out.is_dir():
+            raise InputError(f"--out {self.out}: is a folder; name a file, for example {self.out / 'broken.toml'}")
         if self.out is not None and self.out.is_file():  # a scenario that somebody wrote, or an earlier search's
             raise InputError(f"--out {self.out}: is there already; choose another file")
         if self.map is not None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError
@@ -22,7 +22,7 @@ class Command:
     """
 
     extras: ClassVar[tuple[str, ...]] = ()
-    plan: Positional[Path]
+    plan: Annotated[Positional[Path], arg(metavar="PLAN")]
     """JSON file that impact plan --out wrote."""
     scenario: str | None = None
     """Shipped name or TOML file; without, the shipped scenario that the plan names."""
@@ -32,11 +32,12 @@ class Command:
 
     def run(self) -> dict[str, Any]:
         """Return every check with what was found, and the robustness at the samples and over continuous time."""
-        scenario = load_scenario(self.scenario or read_scenario_name(self.plan)).suite(self.suite)
+        loaded = load_scenario(self.scenario or read_scenario_name(self.plan))
+        scenario = loaded.suite(self.suite)
         certify = find_part("planners", scenario.domain, "CERTIFICATE")
         if certify is None:
             raise InputError(f"scenario '{scenario.name}': plans of domain '{scenario.domain}' cannot be certified")
-        certificate = certify(self.plan, scenario)
+        certificate = certify(self.plan, scenario, loaded)
         result = {"plan": str(self.plan), "scenario": scenario.name, **certificate.to_dict()}
         if certificate.deviation is not None:
             result["warning"] = (

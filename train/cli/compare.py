@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -62,8 +62,7 @@ class Command:
         """Return a row for each scenario, suite and group of policies, or what two policies' tests found."""
         if self.until is not None:
             return self._play_until_decided()
-        if self.scenario is not None:
-            raise InputError(f"--scenario {self.scenario} needs --until decided; folders name theirs")
+        self._refuse_options_of_until()
         from train.evaluation.comparison import compare_groups
         from train.evaluation.origins import read_origins
 
@@ -73,6 +72,21 @@ class Command:
             known = choices(self.constant, policies)
             raise InputError(f"--constant {self.constant}: policy '{self.constant}' was not evaluated; {known}")
         return {"groups": compare_groups(rows, read_origins(policies), self.constant)}
+
+    def _refuse_options_of_until(self) -> None:
+        """Raise if something is asked of episodes, where none is played.
+
+        Raises:
+            InputError: naming the option.
+        """
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name not in ("folders", "constant", "until", "json") and value != field.default:
+                text = " ".join(value) if isinstance(value, tuple) else value
+                raise InputError(
+                    f"--{field.name.replace('_', '-')} {text} needs --until decided, which plays episodes; "
+                    "folders hold theirs"
+                )
 
     def _play_until_decided(self) -> dict[str, Any]:
         from train.evaluation.duel import play_until_decided

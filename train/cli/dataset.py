@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from train.cli.progress import say_written
 
@@ -16,7 +16,7 @@ class Command:
     """Write episodes as a Minari dataset, for learning from what an expert did."""
 
     extras: ClassVar[tuple[str, ...]] = ("plan", "learn")
-    scenario: Positional[str]
+    scenario: Annotated[Positional[str], arg(metavar="SCENARIO")]
     """Shipped name or TOML file."""
     episodes: int = 100
     """How many."""

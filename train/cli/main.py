@@ -134,7 +134,9 @@ def _load(name: str) -> Any:
 def _one_line(box: str) -> str:
     """Return the text of tyro's message box as one line."""
     lines = [re.sub(r"\x1b\[[0-9;]*m|[^\x20-\x7e]", " ", line).strip(" -+|") for line in box.splitlines()]
-    title, *rest = [re.sub(r"\s+", " ", line) for line in lines if line and "--help" not in line] or ["bad arguments"]
+    # The hint at --help may take two lines.
+    kept = [line for line in lines if line and "--help" not in line and not line.startswith("For full helptext")]
+    title, *rest = [re.sub(r"\s+", " ", line) for line in kept] or ["bad arguments"]
     # tyro lists choices without an order, and among them None where an option may be left out.
     text = re.sub(r"(?<=Expected one of )\(([^()]*)\)", _list_choices, " ".join(rest))
     return text if text.lower().startswith(title.lower()) or title == "Value error" else f"{title}: {text}"

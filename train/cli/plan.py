@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError
@@ -29,7 +29,7 @@ class Command:
     """
 
     extras: ClassVar[tuple[str, ...]] = ("plan",)
-    scenario: Positional[str]
+    scenario: Annotated[Positional[str], arg(metavar="SCENARIO")]
     """Shipped name or TOML file."""
     objective: Literal["robustness", "impact_uncertainty"] = "robustness"
     """What to maximise: STL robustness, or the deviation after impacts that a plan bears."""

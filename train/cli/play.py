@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from impact_envs.errors import InputError, choices
 from train.evaluation.case import EVALUATION_SEEDS, check_settings, make_case
@@ -19,7 +19,7 @@ class Command:
     """Fly a robot with the keys against the clock; at the end the robustness says how well."""
 
     extras: ClassVar[tuple[str, ...]] = ("plan",)
-    scenario: Positional[str]
+    scenario: Annotated[Positional[str], arg(metavar="SCENARIO")]
     """Shipped name or TOML file."""
     robot: str | None = None
     """That you fly first; Tab takes the next one. Default: the first."""

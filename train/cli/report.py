@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from train.cli.progress import say_written
 
@@ -16,7 +16,7 @@ class Command:
     """Write one self-contained HTML page from an evaluation."""
 
     extras: ClassVar[tuple[str, ...]] = ("report",)
-    folder: Positional[Path]
+    folder: Annotated[Positional[Path], arg(metavar="FOLDER")]
     """Folder that impact evaluate --out wrote."""
     json: bool = False
 

@@ -7,9 +7,9 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError
@@ -25,7 +25,7 @@ class Command:
     """Put a paper's published numbers beside those computed here, and draw its figures."""
 
     extras: ClassVar[tuple[str, ...]] = ("plan", "report")
-    paper: Positional[str]
+    paper: Annotated[Positional[str], arg(metavar="PAPER")]
     """verhagen, nekoo, van_steen, or the domain's name."""
     figure: Positional[str | None] = None
     """Only this figure, such as fig4; a wrong name lists them."""

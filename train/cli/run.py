@@ -5,9 +5,9 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError
@@ -26,7 +26,7 @@ class Command:
     """Run one episode."""
 
     extras: ClassVar[tuple[str, ...]] = ("plan",)
-    scenario: Positional[str]
+    scenario: Annotated[Positional[str], arg(metavar="SCENARIO")]
     """Shipped name or TOML file."""
     policy: str = "expert"
     """expert, oracle (told the truth), zero, random, a variant of the expert, a shipped policy or checkpoint folder, or

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ class Duel:
         verdict: who is better, "equal", or None: the seeds were used up before.
         success, robustness: the tests.
         played: pairs of episodes, those of the last shard behind the decision among them.
+        allowed: pairs of episodes at most.
         options: of the tests.
     """
 
@@ -38,6 +40,7 @@ class Duel:
     success: SuccessTest
     robustness: RobustnessTest
     played: int
+    allowed: int
     options: SequentialOptions
 
     def to_dict(self) -> dict[str, Any]:
@@ -52,7 +55,8 @@ class Duel:
             "pairs": pairs,
             "pairs_played": self.played,
             "fixed_plan_pairs": needed,
-            "episodes_saved": None if needed is None else 2 * round(needed - self.played),
+            # No plan plays more than is allowed, so that no more than the rest of it can be saved.
+            "episodes_saved": None if needed is None else 2 * round(min(needed, self.allowed) - self.played),
             "tests": [
                 {
                     "test": "success of discordant pairs",
@@ -125,7 +129,7 @@ def play_until_decided(
             if verdict is not None:
                 break
     whole = min(most, -(-played // SHARD) * SHARD)
-    return Duel(policies, verdict, success, robustness, whole, options)
+    return Duel(policies, verdict, success, robustness, whole, most, options)
 
 
 def _pair_rows(first: Any, last: Any) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
@@ -135,13 +139,15 @@ def _pair_rows(first: Any, last: Any) -> Iterator[tuple[dict[str, Any], dict[str
 
 
 def _check_options(options: SequentialOptions) -> None:
-    for name, value, low, high in (
-        ("error", options.error, 0.0, 1.0),
-        ("least_share", options.least_share, 0.5, 1.0),
-        ("least_difference", options.least_difference, 0.0, options.limit),
+    if not 0.0 < options.limit < math.inf:
+        raise InputError(f"--limit {options.limit:g}: must be above 0 and finite")
+    for name, value, low, high, end in (
+        ("--error", options.error, 0.0, 1.0, "1"),
+        ("--least-share", options.least_share, 0.5, 1.0, "1"),
+        ("--least-difference", options.least_difference, 0.0, options.limit, f"--limit {options.limit:g}"),
     ):
         if not low < value < high:
-            raise InputError(f"{name} {value:g}: must be above {low:g} and below {high:g}")
+            raise InputError(f"{name} {value:g}: must be above {low:g} and below {end}")
 
 
 def _say(verdict: Verdict | None, policies: tuple[str, str]) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from impact_envs.interface.threads import Threads
+from planners import list_variants
 from train.evaluation.batch_player import Ends, check_batched, make_batch_policy, play_worlds
 from train.evaluation.case import Case
 
@@ -65,13 +66,18 @@ class Arena:
             raise InputError(f"scenario '{case.scenario.name}': worlds of its domain cannot be chosen")
         check_batched(policy)
         if policy == "oracle":
-            raise InputError("policy 'oracle' is told what its seed draws; a search chooses that itself")
+            known = ", ".join(["expert", *list_variants(case.scenario), "zero"])
+            raise InputError(
+                "policy 'oracle' is told what its seed draws; a search chooses that itself; "
+                f"choices: {known}, or the folder of a checkpoint"
+            )
         self._case, self._policy, self._make = case, policy, pinned
         self.worlds = pinned(case.scenario)
         self.names: tuple[str, ...] = self.worlds.names
         if not self.names:
             raise InputError(
-                f"suite '{case.suite}' of scenario '{case.scenario.name}' draws nothing from a range; choose another"
+                f"suite '{case.suite}' of scenario '{case.scenario.name}' draws nothing from a range; "
+                f"choices: {', '.join(_list_drawing(case, pinned)) or 'none'}; or give ranges with --vary"
             )
         self.wide, self._threads = wide, Threads(threads, wide)
         self._size = -(-wide // self._threads.number)
@@ -133,3 +139,8 @@ class Arena:
             part = str(formula.conjuncts()[int(np.argmin(intervals[k, :, 0]))])
             texts[k] = ends.failure[k] or f"{part}, {ends.impacts[k]} impacts"
         return texts
+
+
+def _list_drawing(case: Case, pinned: Callable[[Any], Any]) -> list[str]:
+    """Return the suites of a scenario that draw something from a range."""
+    return [name for name in case.scenario.list_suites() if pinned(case.scenario.suite(name)).names]

@@ -129,10 +129,13 @@ def _read_ends(text: str, ends: str) -> list[float]:
         values = [float(end) for end in ends.split(",")]
     except ValueError:
         values = []
-    uniform = [-values[0], values[0]] if len(values) == 1 else values
-    if len(uniform) != 2 or not all(map(math.isfinite, uniform)) or not uniform[0] < uniform[1]:
+    if len(values) not in (1, 2) or not all(map(math.isfinite, values)):
         raise InputError(f"--vary {text}: NAME=HALF or NAME=LOW,HIGH is needed, for example start=0.05")
-    return uniform
+    if len(values) == 1 and values[0] <= 0.0:
+        raise InputError(f"--vary {text}: HALF of NAME=HALF must be above 0: the range is from -HALF to HALF")
+    if len(values) == 2 and values[0] >= values[1]:
+        raise InputError(f"--vary {text}: LOW of NAME=LOW,HIGH must be less than HIGH")
+    return values if len(values) == 2 else [-values[0], values[0]]
 
 
 def _find_place(value: float, low: float, high: float) -> float:

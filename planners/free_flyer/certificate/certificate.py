@@ -7,6 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from impact_envs.errors import InputError
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.free_flyer.certificate.check import Check, Tolerances
 from planners.free_flyer.certificate.claim import Claim, check_claim, read_claim
@@ -56,13 +57,15 @@ class Certificate:
 def certify_plan(
     path: str | Path,
     scenario: FreeFlyerScenario,
+    unchanged: FreeFlyerScenario | None = None,
     tolerances: Tolerances = Tolerances(),  # noqa: B008 - frozen
 ) -> Certificate:
     """Check a plan file against a scenario, as it is believed to be.
 
     Args:
         path: a JSON file that `impact plan --out` wrote.
-        scenario: of discs.
+        scenario: of discs, in its suite.
+        unchanged: the same in no suite, to say which of its suites has the plan's horizon where it is another.
         tolerances: by how much the plan may be off.
 
     Returns:
@@ -72,7 +75,10 @@ def certify_plan(
         InputError: no plan file, or one for other bodies or another horizon.
     """
     claim = read_claim(path)
-    check_claim(claim, scenario)
+    try:
+        check_claim(claim, scenario, unchanged)
+    except InputError as error:
+        raise InputError(f"plan file {path}: {error}") from None
     signals = make_signals(claim, scenario)
     sampled = compute_sampled_robustness(signals, scenario)
     continuous = bound_robustness(signals, scenario, tolerances.effort)

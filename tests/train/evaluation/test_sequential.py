@@ -9,7 +9,7 @@ import pytest
 from impact_envs.errors import InputError
 from planners.plan import Plan
 from train.evaluation.case import make_case
-from train.evaluation.duel import play_until_decided
+from train.evaluation.duel import Duel, play_until_decided
 from train.evaluation.sequential import RobustnessTest, SequentialOptions, SuccessTest, combine_verdicts
 
 OPTIONS = SequentialOptions()
@@ -131,11 +131,24 @@ def test_duel_ends_as_soon_as_the_expert_is_better_than_nobody():
     assert said["episodes_saved"] > 0
 
 
+def test_no_more_is_saved_than_the_allowed_pairs_would_cost():
+    success, robustness = SuccessTest(OPTIONS), RobustnessTest(OPTIONS)
+    for _ in range(40):
+        success.update(True, True)
+        robustness.update(0.1, 0.0)
+    success.wins, robustness.verdict = 1, "a"
+    needed = robustness.count_fixed(OPTIONS.error)
+    for allowed in (100, round(needed) + 1000):
+        said = Duel(("x", "y"), "a", success, robustness, 50, allowed, OPTIONS).to_dict()
+        assert said["fixed_plan_pairs"] == needed
+        assert said["episodes_saved"] == 2 * round(min(allowed, needed) - 50)
+
+
 def test_bad_requests_are_refused():
     case = make_case("throw_and_catch")
-    with pytest.raises(InputError, match="error"):
+    with pytest.raises(InputError, match="--error 0"):
         play_until_decided(case, ("zero", "zero"), 50, TUNING, replace(OPTIONS, error=0.0))
-    with pytest.raises(InputError, match="least_difference"):
+    with pytest.raises(InputError, match="--least-difference"):
         play_until_decided(case, ("zero", "expert"), 50, TUNING, replace(OPTIONS, least_difference=0.6))
     with pytest.raises(InputError, match="random"):
         play_until_decided(case, ("zero", "random"), 50, TUNING, OPTIONS)
