@@ -39,6 +39,36 @@ CODE = (
     f"    evaluate(['throw_and_catch'], ['zero'], {EPISODES}, workers=2, out=sys.argv[1], progress=False)\n"
 )
 
+# LLVM asks Python twice for each function that it compiles: for stored code, and to store the new code. An exception
+# that is raised there is dropped.
+COMPILING = """
+import os, signal, sys
+import llvmlite.binding as llvm
+import numba
+from train.launch.workers import end_on_sigterm
+
+find, calls = llvm.ExecutionEngine._find_module_ptr, []
+
+def find_and_end(engine, pointer):
+    calls.append(pointer)
+    if len(calls) == int(sys.argv[1]):
+        os.kill(os.getpid(), signal.SIGTERM)
+    return find(engine, pointer)
+
+@numba.njit
+def double(number):
+    return 2 * number
+
+with end_on_sigterm():
+    llvm.ExecutionEngine._find_module_ptr = find_and_end
+    try:
+        double(1)
+        while True:
+            pass
+    finally:
+        print("tidied up")
+"""
+
 
 @pytest.fixture
 def script(tmp_path: Path) -> Path:
@@ -82,6 +112,19 @@ def test_no_kill_loses_doubles_or_changes_a_row(script: Path, tmp_path: Path) ->
         run.kill()
     assert run.returncode == 0, said
     assert read_rows(out) == read_rows(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("call", [1, 2])
+def test_sigterm_while_llvm_calls_python_ends_the_process_without_a_trace(call: int) -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", COMPILING, str(call)],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (run.returncode, run.stdout, run.stderr) == (143, "tidied up\n", "")
 
 
 def test_a_job_is_done_again_when_its_worker_dies(tmp_path: Path) -> None:
