@@ -176,8 +176,10 @@ def fly_folder(folder: Path, suites: Iterable[str], seeds: range, options: Mappi
         number = path.stem.removeprefix("task_")
         if not number.isdigit():
             raise InputError(f"{path}: the name says no seed")
-        kind, data = draw_task(int(number))
-        yield from fly_plan(build_scenario(data, source=data["name"]), kind, Plan.load(path), suites, seeds, options)
+        plan, (kind, data) = Plan.load(path), draw_task(int(number))
+        if plan.horizon != data["horizon"]:  # it was planned in a hurry
+            kind, data = draw_task(int(number), plan.horizon / data["horizon"])
+        yield from fly_plan(build_scenario(data, source=data["name"]), kind, plan, suites, seeds, options)
 
 
 def print_table(flights: list[Flight]) -> None:

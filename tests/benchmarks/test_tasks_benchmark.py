@@ -44,6 +44,15 @@ def test_a_task_is_planned_flown_and_won(tasks, flights, tmp_path, capsys):
     assert "nominal  all          1       2   100.0%" in capsys.readouterr().out
 
 
+def test_a_hurry_shortens_the_horizon_and_nothing_else(tasks):
+    (_, task), (_, short) = tasks.draw_task(QUICK), tasks.draw_task(QUICK, 0.12)
+    assert tasks.draw_task(QUICK, short["horizon"] / task["horizon"])[1] == short  # so its plan is flown in it
+    assert short["horizon"] == round(0.12 * task["horizon"], 1)
+    assert short["robots"] == task["robots"]
+    with pytest.raises(InputError, match="hurry = 2"):
+        tasks.main(tasks.Args(hurry=2.0))
+
+
 def test_flying_needs_plans(tasks, flights, tmp_path):
     with pytest.raises(InputError, match="--fly 2 needs --plans"):
         tasks.main(tasks.Args(count=1, fly=2))

@@ -110,8 +110,9 @@ class Command:
             check_picture_path(self.plot)
         if self.rename and self.check is None:
             raise InputError(f"--rename {' '.join(self.rename)} needs --check DIR, a folder of published plan files")
-        if self.proof and (self.objective != "robustness" or self.encoding != "events" or self.relax):
-            raise InputError(f"--proof {self.proof:g}: is for --objective robustness with --encoding events, unrelaxed")
+        if self.proof and (self.objective != "robustness" or self.encoding != "events" or self.relax or self.check):
+            wish = "is for plans that are made, for --objective robustness with --encoding events and without --relax"
+            raise InputError(f"--proof {self.proof:g}: {wish}")
         if self.time_grid is not None and self.objective != "impact_uncertainty":
             raise InputError(f"--time-grid {self.time_grid} needs --objective impact_uncertainty, got {self.objective}")
         if self.weights and not self.relax:
