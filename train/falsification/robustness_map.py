@@ -86,7 +86,8 @@ def draw_map(arena: Arena, played: Played, found: Sequence[Counterexample], titl
     for axis, values in ((axes.xaxis, x), (axes.yaxis, y)):
         if (values == np.round(values)).all():
             axis.set_major_locator(MaxNLocator(integer=True))
-    axes.set(xlabel=keys[0].removeprefix("true."), ylabel=keys[1].removeprefix("true."), title=title)
+    axes.set(xlabel=keys[0].removeprefix("true."), ylabel=keys[1].removeprefix("true."))
+    axes.set_title(title, wrap=True)  # names of scenarios and options may be long
     figure.legend(loc="outside lower center", ncols=2, fontsize="small")
     figure.colorbar(cells, label=f"mean {label_robustness(formula)}", extend="both")
     return figure
