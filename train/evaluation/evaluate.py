@@ -43,7 +43,7 @@ from train.evaluation.shard import Request, ShardSizes, cut_shards, describe_fac
 from train.evaluation.statistics import compare
 from train.launch.folder import is_uri, write_uri
 from train.launch.launcher import Launcher
-from train.launch.local import LocalLauncher
+from train.launch.local import PATIENCE, LocalLauncher
 from train.launch.origin import describe_origin
 from train.launch.workers import end_on_sigterm
 
@@ -114,7 +114,8 @@ def evaluate(
             pyarrow reaches); default: nothing is written.
         progress: show a bar on standard error.
         batched: play many worlds at once: the same success and robustness a hundred times sooner, without solve times,
-            effort, a domain's figures and replays; see batch_player. ``workers`` are then threads.
+            effort, a domain's figures and replays; see batch_player. ``workers`` are started where that takes longer
+            than some seconds.
         launcher: who plays, such as a Ray cluster; default: this machine, by ``workers``.
 
     Returns:
@@ -154,7 +155,8 @@ def evaluate_cases(
             pyarrow reaches); default: nothing is written.
         progress: show a bar on standard error.
         batched: play many worlds at once: the same success and robustness a hundred times sooner, without solve times,
-            effort, a domain's figures and replays; see batch_player. ``workers`` are then threads.
+            effort, a domain's figures and replays; see batch_player. ``workers`` are started where that takes longer
+            than some seconds.
         launcher: who plays, such as a Ray cluster; default: this machine, by ``workers``.
         sizes: of the shards that a launcher is given, or that are kept behind a URI.
         plans: made by other calls for the same believed scenarios, see make_plans; those made here are added.
@@ -168,7 +170,7 @@ def evaluate_cases(
     if out is not None:
         import pyarrow  # noqa: F401  # that it is missing must not be found out after everything was played
     labels = read_policies(policies)
-    sent = launcher is not None or (workers > 1 and not batched)
+    sent = launcher is not None or workers > 1
     check_request(cases, labels, episodes, seed, workers, sent, batched)
     jobs = [
         Job(case, label, number, replay=out is not None and number == seed and not batched)
@@ -219,10 +221,10 @@ def _play(
     request = Request(tuple(cases), tuple(labels), batched, out=str(out) if out is not None and is_uri(out) else None)
     size: int | None = sizes.batched if batched else sizes.single
     if launcher is None:
-        request = replace(request, threads=workers if batched else 1)
-        launcher = LocalLauncher(1 if batched else workers)
+        # Many worlds are those of shipped policies and of checkpoints: nothing in them comes from the user's script.
+        launcher = LocalLauncher(workers, PATIENCE, with_main=False) if batched else LocalLauncher(workers)
         if request.out is None:
-            size = None if batched else 1
+            size = sizes.share(len(jobs), workers) if batched else 1
     elif launcher.remote:
         request = replace(
             request, origin=describe_origin(describe_facts(cases, labels), bool(digest_policies(cases, labels)))

@@ -7,6 +7,7 @@ else: not on who plays it, after what, or beside which other shards.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -28,12 +29,28 @@ class ShardSizes:
 
     Attributes:
         single: where one world is played at a time: an expert's ten episodes take seconds to a minute.
-        batched: where many are: two times the worlds that are played together, so that making the experts anew, 0.15 s,
-            is a twentieth of the work or less.
+        batched: where many are: two times the worlds that are played together, so that making the experts anew is a
+            twentieth of the work or less.
+        least: where many are, and processes of this machine share few of them: with fewer in a shard, Python's part of
+            a control step costs more than the worlds.
+        pieces: shards of a process where they are few: the last ones are not waited for long.
     """
 
     single: int = 10
     batched: int = 100
+    least: int = 10
+    pieces: int = 4
+
+    def share(self, episodes: int, workers: int) -> int | None:
+        """Return how many seeds a shard has where processes of this machine share the episodes of many worlds.
+
+        Args:
+            episodes: of all policies and cases.
+            workers: processes; one has nothing to share.
+        """
+        if workers == 1:
+            return None
+        return min(self.batched, max(self.least, math.ceil(episodes / (self.pieces * workers))))
 
 
 @dataclass(frozen=True)
@@ -89,7 +106,7 @@ class Request:
     Attributes:
         cases: worlds to be judged in, with their plans.
         policies: that play.
-        batched: whether many worlds are played at once, by ``threads``.
+        batched: whether many worlds are played at once.
         out: URI of the folder in which every shard's rows are kept by whoever played it; None: nowhere.
         origin: of the process that asks, see launch.origin; None: this machine, where nothing can differ.
     """
@@ -97,7 +114,6 @@ class Request:
     cases: tuple[Case, ...]
     policies: tuple[str, ...]
     batched: bool
-    threads: int = 1
     out: str | None = None
     origin: Origin | None = None
 
@@ -119,7 +135,7 @@ def start_playing(request: Request) -> Callable[[Shard], Iterator[Outcome]]:
     def play_one(shard: Shard) -> Generator[Outcome]:
         nonlocal last
         if request.batched:
-            with closing(play_batched(request.cases, shard.jobs, request.threads)) as outcomes:
+            with closing(play_batched(request.cases, shard.jobs)) as outcomes:
                 yield from outcomes
             return
         if last is None or last[0] != (shard.case, shard.policy):

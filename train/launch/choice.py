@@ -22,8 +22,8 @@ class Launch:
     """Of the Ray cluster: auto, HOST:PORT or ray://HOST:PORT; without: what RAY_ADDRESS says, a cluster of this
     machine, or a new one."""
     workers: int | None = None
-    """Tasks at a time. Local: processes, 1 without (threads where many worlds are played at once); Ray: without, one
-    for each core of the cluster."""
+    """Tasks at a time. Local: processes, 1 without; where many worlds are played at once they are started when a few
+    seconds were not enough. Ray: without, one for each core of the cluster."""
 
 
 @contextmanager

@@ -9,9 +9,11 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from types import ModuleType
 from typing import Any, TypeVar
 
 from train.errors import WorkerLost
@@ -22,7 +24,9 @@ ATTEMPTS = 2  # a job that ended this many workers is not given to another one
 Job = TypeVar("Job")
 
 
-def work(start: Callable[[], Callable[[Job], Any]], jobs: Sequence[Job], workers: int) -> Generator[Any]:
+def work(
+    start: Callable[[], Callable[[Job], Any]], jobs: Sequence[Job], workers: int, with_main: bool = True
+) -> Generator[Any]:
     """Do jobs in several processes and yield each result as it comes.
 
     A job whose worker dies is given to another one. However this generator ends, its processes end at once.
@@ -31,6 +35,8 @@ def work(start: Callable[[], Callable[[Job], Any]], jobs: Sequence[Job], workers
         start: called in every worker; returns what does a job. Jobs and results are pickled.
         jobs: to be done.
         workers: most processes at a time.
+        with_main: whether they import the user's script, where what is sent may come from. One that is not guarded by
+            ``if __name__ == "__main__"`` would begin anew in each of them.
 
     Raises:
         WorkerLost: ATTEMPTS workers died of the same job.
@@ -42,10 +48,7 @@ def work(start: Callable[[], Callable[[Job], Any]], jobs: Sequence[Job], workers
     try:
         while left:
             while len(crew) < min(workers, left):
-                ours, theirs = multiprocessing.Pipe()
-                made = multiprocessing.get_context("spawn").Process(target=_serve, args=(theirs, start), daemon=True)
-                made.start()
-                theirs.close()
+                ours, made = _start_worker(start, with_main)
                 crew[ours] = (made, None)
                 _give(crew, ours, queue)
             for ready in wait(list(crew)):
@@ -120,6 +123,41 @@ def end_on_sigterm() -> Iterator[None]:
     finally:
         sys.unraisablehook = show_dropped
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _start_worker(start: Callable[[], Callable[[Job], Any]], with_main: bool) -> tuple[Connection, BaseProcess]:
+    """Start a process and return what talks to it, and itself."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # a core each; libraries read it when they are imported there
+    ours, theirs = multiprocessing.Pipe()
+    made = multiprocessing.get_context("spawn").Process(target=_serve, args=(theirs, start), daemon=True)
+    with _hold_interrupts(), nullcontext() if with_main else _hide_main():
+        made.start()
+    theirs.close()
+    return ours, made
+
+
+@contextmanager
+def _hold_interrupts() -> Iterator[None]:
+    """Let Ctrl-C wait, here until the block ends, and for good in processes that are started inside."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # as it starts, it lets Ctrl-C through
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _hide_main() -> Iterator[None]:
+    """Have processes that are started inside not import the user's script."""
+    main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 def _end_after(sentinel: int) -> None:

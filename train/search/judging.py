@@ -33,7 +33,7 @@ class Judging:
         single: whether one world is played at a time.
         out: folder of the evaluation, or its URI.
         launcher: who plays.
-        workers: threads or processes, where this machine plays.
+        workers: processes, where this machine plays.
         maximise: one of SCORES.
         plans: made so far, by what they are for.
     """

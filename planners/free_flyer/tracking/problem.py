@@ -6,6 +6,7 @@ State (q, v) = [x, y, heading, vx, vy, omega] in the world frame, input [Fx, Fy,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -135,15 +136,27 @@ def _weigh(
     table, feedback = np.zeros((2, 3, 3)), np.zeros((3, 2))
     table[0, :, 0], table[0, :, 2] = (position, position, weights.heading), (velocity, velocity, weights.rate)
     table[1] = weights.terminal * table[0]
-    A = np.array([[1.0, period], [0.0, 1.0]])
     for axis, effort in enumerate((weights.force, weights.force, weights.torque)):
-        B = gains[axis] * np.array([[period**2 / 2], [period]])
-        R = np.array([[effort]])
-        P = solve_discrete_are(A, B, np.diag(table[0, axis, ::2]), R)
+        position_weight, velocity_weight = table[0, axis, ::2].tolist()
+        P, feedback[axis] = _solve_axis(position_weight, velocity_weight, effort, float(gains[axis]), period)
         if weights.terminal == 0.0:
             table[1, axis] = P[0, 0], P[0, 1], P[1, 1]
-        feedback[axis] = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)[0]
     return table, feedback
+
+
+@lru_cache(256)  # robots are alike, and an evaluation makes their experts again and again
+def _solve_axis(
+    position: float, velocity: float, effort: float, gain: float, period: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cost of going on for ever along one axis, shape (2, 2), and its LQR gain, shape (2,)."""
+    A = np.array([[1.0, period], [0.0, 1.0]])
+    B = gain * np.array([[period**2 / 2], [period]])
+    R = np.array([[effort]])
+    P = solve_discrete_are(A, B, np.diag([position, velocity]), R)
+    feedback = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)[0]
+    for kept in (P, feedback):
+        kept.setflags(write=False)
+    return P, feedback
 
 
 def make_matrices(weights: np.ndarray) -> np.ndarray:
