@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from impact_envs.errors import InputError
 from planners.errors import PlanningError
 from train.errors import Diverged
+from train.launch.ending import keep_interrupts
 
 A = TypeVar("A")
 
@@ -60,7 +61,8 @@ def exit_codes() -> Iterator[None]:
     One line, and code 2 for bad input, 1 without a plan or for a training that diverged, 130 for Ctrl-C.
     """
     try:
-        yield
+        with keep_interrupts():
+            yield
     except InputError as error:
         print(error, file=sys.stderr)
         sys.exit(2)

@@ -29,6 +29,7 @@ from impact_envs.interface.extras import describe_missing
 from planners.errors import PlanningError
 from train.cli.progress import show_planning
 from train.errors import Diverged, NothingFound, WorkerLost
+from train.launch.ending import keep_interrupts
 
 COMMANDS = (
     "list", "plan", "certify", "run", "play", "train", "tune", "dataset", "evaluate", "sweep", "compare", "break",
@@ -66,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command = _parse(sys.argv[1:] if arguments is None else list(arguments))
         needed = command.extras
         # Solvers and libraries may print; standard output is the result's alone.
-        with contextlib.redirect_stdout(sys.stderr), show_planning():
+        with contextlib.redirect_stdout(sys.stderr), show_planning(), keep_interrupts():
             result = command.run()
         result.setdefault("wall_seconds", time.perf_counter() - start)
     except InputError as error:

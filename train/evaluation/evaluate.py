@@ -41,11 +41,11 @@ from train.evaluation.own_policy import Factory, OwnPolicy, announce, read_polic
 from train.evaluation.player import Job, Outcome, checkpoint_directory
 from train.evaluation.shard import Request, ShardSizes, cut_shards, describe_facts, digest_policies, start_playing
 from train.evaluation.statistics import compare
+from train.launch.ending import end_on_sigterm, keep_interrupts
 from train.launch.folder import is_uri, write_uri
 from train.launch.launcher import Launcher
 from train.launch.local import PATIENCE, LocalLauncher
 from train.launch.origin import describe_origin
-from train.launch.workers import end_on_sigterm
 
 # Per scenario, suite and policy. All are listed: a slip of the keyboard must not fill the memory.
 MOST_EPISODES = 1_000_000
@@ -194,6 +194,7 @@ def evaluate_cases(
         # Closed, not left to the garbage collector: an interruption must reach the workers at once.
         with (
             end_on_sigterm(),
+            keep_interrupts(),
             Progress(*bar, console=Console(stderr=True), disable=not (progress and missing)) as shown,
             closing(_play(cases, labels, missing, batched, workers, out, launcher, sizes or ShardSizes())) as outcomes,
         ):

@@ -18,7 +18,6 @@ from typing import Any, TypeVar
 
 from train.errors import WorkerLost
 
-AGAIN = 0.05  # s until a signal whose exception was dropped is sent again: LLVM has mostly come back by then
 ATTEMPTS = 2  # a job that ended this many workers is not given to another one
 
 Job = TypeVar("Job")
@@ -80,49 +79,6 @@ def end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_after, args=(parent.sentinel,), daemon=True).start()
-
-
-@contextmanager
-def end_on_sigterm() -> Iterator[None]:
-    """Let SIGTERM end this process as an exception does, with code 143, unless somebody else handles it.
-
-    Only while episodes are played: a solver at work would keep the exception waiting, and has nothing to tidy up.
-    Where Python cannot raise, as in a call of LLVM's back into Python while a function is compiled, the exception is
-    dropped: it is raised again soon. What fails after the signal fails because of it.
-    """
-    main = threading.current_thread() is threading.main_thread()
-    if not main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
-        yield
-        return
-
-    told, show_dropped = threading.Event(), sys.unraisablehook
-
-    def end(number: int, frame: Any) -> None:
-        told.set()
-        raise SystemExit(128 + number)
-
-    def raise_again(dropped: sys.UnraisableHookArgs) -> None:
-        if not (told.is_set() and issubclass(dropped.exc_type, SystemExit)):
-            return show_dropped(dropped)
-        timer = threading.Timer(AGAIN, signal_again)
-        timer.daemon = True
-        timer.start()
-
-    def signal_again() -> None:
-        if sys.unraisablehook is raise_again:  # else it has ended, or is about to
-            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
-
-    signal.signal(signal.SIGTERM, end)
-    sys.unraisablehook = raise_again
-    try:
-        yield
-    except Exception:
-        if told.is_set():
-            raise SystemExit(128 + signal.SIGTERM) from None
-        raise
-    finally:
-        sys.unraisablehook = show_dropped
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _start_worker(start: Callable[[], Callable[[Job], Any]], with_main: bool) -> tuple[Connection, BaseProcess]:

@@ -45,21 +45,22 @@ COMPILING = """
 import os, signal, sys
 import llvmlite.binding as llvm
 import numba
-from train.launch.workers import end_on_sigterm
+from train.launch.ending import end_on_sigterm
+from train.watch import exit_codes
 
 find, calls = llvm.ExecutionEngine._find_module_ptr, []
 
 def find_and_end(engine, pointer):
     calls.append(pointer)
     if len(calls) == int(sys.argv[1]):
-        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), int(sys.argv[2]))
     return find(engine, pointer)
 
 @numba.njit
 def double(number):
     return 2 * number
 
-with end_on_sigterm():
+with exit_codes(), end_on_sigterm():
     llvm.ExecutionEngine._find_module_ptr = find_and_end
     try:
         double(1)
@@ -115,16 +116,23 @@ def test_no_kill_loses_doubles_or_changes_a_row(script: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("call", [1, 2])
-def test_sigterm_while_llvm_calls_python_ends_the_process_without_a_trace(call: int) -> None:
+@pytest.mark.parametrize(
+    ("number", "code", "says"),
+    [(signal.SIGTERM, 143, ""), (signal.SIGINT, 130, "interrupted; what was finished is kept\n")],
+    ids=["SIGTERM", "SIGINT"],
+)
+def test_a_signal_while_llvm_calls_python_ends_the_process_without_a_trace(
+    call: int, number: int, code: int, says: str
+) -> None:
     run = subprocess.run(
-        [sys.executable, "-c", COMPILING, str(call)],
+        [sys.executable, "-c", COMPILING, str(call), str(int(number))],
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         timeout=60,
         check=False,
     )
-    assert (run.returncode, run.stdout, run.stderr) == (143, "tidied up\n", "")
+    assert (run.returncode, run.stdout, run.stderr) == (code, "tidied up\n", says)
 
 
 def test_a_job_is_done_again_when_its_worker_dies(tmp_path: Path) -> None:
