@@ -62,7 +62,7 @@ def correct_world(table: ExpertTable, memory: ExpertMemory, options: Options, k:
     state, limits, n = memory.state[k], options.correction, memory.torques.shape[1]
     for j in range(n):
         memory.torques[k, j] = limits.torque_share * table.actuators.stall_torque[j] * c[j]
-    state.effort, state.speed_weight = exp(limits.log_range * c[n]), exp(limits.log_range * c[n + 1])
+    state.effort, state.speed_weight = exp(limits.log_range * float(c[n])), exp(limits.log_range * float(c[n + 1]))
     state.is_corrected = True
     wait_for_next(memory, options, k)
 
