@@ -167,6 +167,12 @@ def bind(function: Any, *arguments: Any) -> Callable[..., Any]:
     return cast("Callable[..., Any]", overload.entry_point if overload else function)
 
 
+@cache
+def interpret(function: Any) -> Any:
+    """Return a compiled function, and all that it calls, as plain Python: a few calls take less than loading code."""
+    return retarget(function, lambda plain: plain) if hasattr(function, "py_func") else function
+
+
 def retarget(function: Any, decorate: Callable[[FunctionType], Any]) -> Any:
     """Compile a function and all compiled functions it calls for another target, from the same source.
 

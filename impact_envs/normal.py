@@ -1,6 +1,7 @@
-"""Standard normal numbers of many worlds' streams: those of numpy's ``rng.standard_normal()``, bit for bit.
+"""Standard normal numbers of many worlds' streams: those of numpy's ``rng.standard_normal()``.
 
-The tables are numpy's, as numba keeps them to compile the same method.
+Numbers of the tail, one in 4000, may differ in their last bits, which are the C library's in numpy. The tables are
+numpy's, as numba keeps them to compile the same method.
 
 Source: Marsaglia & Tsang, *The Ziggurat Method for Generating Random Variables*, J. Stat. Softw. 5 (2000), with 256
 layers and 52 bits.
@@ -8,12 +9,11 @@ layers and 52 bits.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba.np.random import _constants as tables
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import exp, log
 from impact_envs.stream import ROTATION, WIDTH, WRAP, Word, _advance, next_double
 
 # Per layer: width per unit of a draw, greatest draw that is surely inside, density at the edge.
@@ -21,6 +21,35 @@ WIDTHS, INSIDE, DENSITIES = tables.wi_double, tables.ki_double, tables.fi_double
 TAIL, TAIL_INVERSE = float(tables.ziggurat_nor_r), float(tables.ziggurat_nor_inv_r)  # where the tail begins
 LAYER_MASK, LAYER_BITS, ONE, TAIL_BIT = np.uint64(0xFF), np.uint64(8), np.uint64(1), np.uint64(8)
 DRAW_MASK = np.uint64(0x000FFFFFFFFFFFFF)
+TWO_TO_64 = 2**64
+
+
+def draw_normals(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Draw standard normal numbers from a generator, which moves on as the stream of a world does.
+
+    Args:
+        rng: numpy's PCG64, as gymnasium makes it.
+        count: of numbers.
+
+    Returns:
+        Shape (count,).
+    """
+    state, numbers = rng.bit_generator.state, np.empty(count)
+    words = state["state"]
+    high, low = divmod(words["state"], TWO_TO_64)
+    stream = np.array([[high, low, *divmod(words["inc"], TWO_TO_64)]], dtype=np.uint64)
+    fill_normals(stream, numbers)
+    high, low = stream[0, :2].tolist()
+    words["state"] = high * TWO_TO_64 + low
+    rng.bit_generator.state = state
+    return numbers
+
+
+@compiled
+def fill_normals(streams: np.ndarray, numbers: np.ndarray) -> None:
+    """Draw the next standard normal numbers of one stream, shape (1, 4) uint64."""
+    for i in range(len(numbers)):
+        numbers[i] = next_normal(streams, 0)
 
 
 @compiled
@@ -54,7 +83,7 @@ def next_normal(streams: np.ndarray, k: int) -> float:
             beyond = draw_tail(streams, k)
             return -beyond if ((draw >> TAIL_BIT) & ONE) != 0 else beyond
         step = DENSITIES[layer - 1] - DENSITIES[layer]
-        if step * next_double(streams, k) + DENSITIES[layer] < math.exp(-0.5 * x * x):
+        if step * next_double(streams, k) + DENSITIES[layer] < exp(-0.5 * x * x):
             return x
 
 
@@ -62,7 +91,8 @@ def next_normal(streams: np.ndarray, k: int) -> float:
 def draw_tail(streams: np.ndarray, k: int) -> float:
     """Draw a number of world k from beyond the last layer."""
     while True:
-        x = -TAIL_INVERSE * math.log1p(-next_double(streams, k))
-        y = -math.log1p(-next_double(streams, k))
+        # 1 minus a draw is exact.
+        x = -TAIL_INVERSE * log(1.0 - next_double(streams, k))
+        y = -log(1.0 - next_double(streams, k))
         if y + y > x * x:
             return TAIL + x

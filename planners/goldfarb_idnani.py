@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.elementary import hypot
 
 SOLVED, INFEASIBLE, STOPPED = range(3)
 STEPS = 200  # more than ten times what any recorded program needed; a rounding error might let the method cycle
@@ -401,7 +402,7 @@ def add_row(J: np.ndarray, R: np.ndarray, d: np.ndarray, held: int, free: int) -
     for back in range(free - 1 - held):
         c = free - 1 - back
         if d[c] != 0.0:
-            size = math.hypot(d[c - 1], d[c])
+            size = hypot(d[c - 1], d[c])
             turn(J, c - 1, d[c - 1] / size, d[c] / size, free)
             d[c - 1], d[c] = size, 0.0
     for i in range(held + 1):
@@ -422,7 +423,7 @@ def drop_row(J: np.ndarray, R: np.ndarray, dropped: int, held: int, free: int) -
         for i in range(j + 2):
             R[i, j] = R[i, j + 1]
     for j in range(dropped, held):
-        size = math.hypot(R[j, j], R[j + 1, j])
+        size = hypot(R[j, j], R[j + 1, j])
         c, s = R[j, j] / size, R[j + 1, j] / size
         turn(J, j, c, s, free)
         for k in range(j, held):

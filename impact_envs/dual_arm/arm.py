@@ -11,7 +11,8 @@ import math
 
 import numpy as np
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, interpret
+from impact_envs.elementary import atan2, cos_sin
 from impact_envs.errors import InputError
 
 Three = tuple[float, float, float]
@@ -41,7 +42,8 @@ def make_arm(
     """
     later = [sum(masses[i + 1 :]) for i in range(3)]
     load = [masses[i] * centers[i] + later[i] * lengths[i] for i in range(3)]
-    diagonal = [inertias[i] + masses[i] * centers[i] ** 2 + later[i] * lengths[i] ** 2 for i in range(3)]
+    squares = [(center * center, length * length) for center, length in zip(centers, lengths, strict=True)]
+    diagonal = [inertias[i] + masses[i] * squares[i][0] + later[i] * squares[i][1] for i in range(3)]
     couplings = [
         diagonal[0],
         lengths[0] * load[1],
@@ -57,14 +59,22 @@ def make_arm(
 def compute_pose(arm: np.ndarray, q1: float, q2: float, q3: float) -> tuple[float, float, float]:
     """Return position x, y [m] and angle [rad] of the arm's end."""
     a1, a2, a3 = q1, q1 + q2, q1 + q2 + q3
-    x = arm[X] + arm[L1] * math.cos(a1) + arm[L2] * math.cos(a2) + arm[L3] * math.cos(a3)
-    y = arm[Y] + arm[L1] * math.sin(a1) + arm[L2] * math.sin(a2) + arm[L3] * math.sin(a3)
+    (c1, s1), (c2, s2), (c3, s3) = cos_sin(a1), cos_sin(a2), cos_sin(a3)
+    x = arm[X] + arm[L1] * c1 + arm[L2] * c2 + arm[L3] * c3
+    y = arm[Y] + arm[L1] * s1 + arm[L2] * s2 + arm[L3] * s3
     return x, y, a3
 
 
 @compiled
 def solve_arm(
-    arm: np.ndarray, a1: float, a2: float, a3: float, w1: float, w2: float, w3: float, f1: float, f2: float, f3: float
+    arm: np.ndarray,
+    directions: tuple[tuple[float, float], tuple[float, float], tuple[float, float]],
+    w1: float,
+    w2: float,
+    w3: float,
+    f1: float,
+    f2: float,
+    f3: float,
 ) -> tuple[float, float, float]:
     """Return the absolute angular accelerations under generalised forces.
 
@@ -72,20 +82,22 @@ def solve_arm(
 
     Args:
         arm: the arm's row.
-        a1, a2, a3: absolute angles [rad].
+        directions: cosine and sine of the absolute angles.
         w1, w2, w3: their rates [rad/s].
         f1, f2, f3: forces on the absolute angles [N m].
 
     Returns:
         a'' [rad/s^2].
     """
-    s12, s13, s23 = arm[C12] * math.sin(a1 - a2), arm[C13] * math.sin(a1 - a3), arm[C23] * math.sin(a2 - a3)
+    (c1, s1), (c2, s2), (c3, s3) = directions
+    # Of differences of angles: cos(a - b) = cos a cos b + sin a sin b, sin(a - b) = sin a cos b - cos a sin b.
+    s12, s13, s23 = arm[C12] * (s1 * c2 - c1 * s2), arm[C13] * (s1 * c3 - c1 * s3), arm[C23] * (s2 * c3 - c2 * s3)
+    h12, h13, h23 = arm[C12] * (c1 * c2 + s1 * s2), arm[C13] * (c1 * c3 + s1 * s3), arm[C23] * (c2 * c3 + s2 * s3)
     u, v, w = w1 * w1, w2 * w2, w3 * w3
-    r1 = f1 - s12 * v - s13 * w - arm[G1] * math.cos(a1)
-    r2 = f2 + s12 * u - s23 * w - arm[G2] * math.cos(a2)
-    r3 = f3 + s13 * u + s23 * v - arm[G3] * math.cos(a3)
+    r1 = f1 - s12 * v - s13 * w - arm[G1] * c1
+    r2 = f2 + s12 * u - s23 * w - arm[G2] * c2
+    r3 = f3 + s13 * u + s23 * v - arm[G3] * c3
     h11, h22, h33 = arm[C11], arm[C22], arm[C33]
-    h12, h13, h23 = arm[C12] * math.cos(a1 - a2), arm[C13] * math.cos(a1 - a3), arm[C23] * math.cos(a2 - a3)
     m11, m12, m13 = h22 * h33 - h23 * h23, h13 * h23 - h12 * h33, h12 * h23 - h13 * h22
     m22, m23, m33 = h11 * h33 - h13 * h13, h12 * h13 - h11 * h23, h11 * h22 - h12 * h12
     d = 1.0 / (h11 * m11 + h12 * m12 + h13 * m13)
@@ -109,11 +121,12 @@ def compute_dynamics(arm: np.ndarray, q: np.ndarray, v: np.ndarray, M: np.ndarra
     """
     a1, a2, a3 = q[0], q[0] + q[1], q[0] + q[1] + q[2]
     w1, w2, w3 = v[0], v[0] + v[1], v[0] + v[1] + v[2]
-    s12, s13, s23 = arm[C12] * math.sin(a1 - a2), arm[C13] * math.sin(a1 - a3), arm[C23] * math.sin(a2 - a3)
-    h12, h13, h23 = arm[C12] * math.cos(a1 - a2), arm[C13] * math.cos(a1 - a3), arm[C23] * math.cos(a2 - a3)
-    h[2] = arm[G3] * math.cos(a3) - s13 * w1 * w1 - s23 * w2 * w2
-    h[1] = h[2] + arm[G2] * math.cos(a2) - s12 * w1 * w1 + s23 * w3 * w3
-    h[0] = h[1] + arm[G1] * math.cos(a1) + s12 * w2 * w2 + s13 * w3 * w3
+    (c1, s1), (c2, s2), (c3, s3) = cos_sin(a1), cos_sin(a2), cos_sin(a3)
+    s12, s13, s23 = arm[C12] * (s1 * c2 - c1 * s2), arm[C13] * (s1 * c3 - c1 * s3), arm[C23] * (s2 * c3 - c2 * s3)
+    h12, h13, h23 = arm[C12] * (c1 * c2 + s1 * s2), arm[C13] * (c1 * c3 + s1 * s3), arm[C23] * (c2 * c3 + s2 * s3)
+    h[2] = arm[G3] * c3 - s13 * w1 * w1 - s23 * w2 * w2
+    h[1] = h[2] + arm[G2] * c2 - s12 * w1 * w1 + s23 * w3 * w3
+    h[0] = h[1] + arm[G1] * c1 + s12 * w2 * w2 + s13 * w3 * w3
     M[2, 2] = arm[C33]
     M[1, 2] = h23 + M[2, 2]
     M[0, 2] = h13 + M[1, 2]
@@ -138,9 +151,11 @@ def compute_kinematics(
         drift: J' q', written, shape (3,) [m/s^2, rad/s^2].
     """
     a1, a2, a3 = q[0], q[0] + q[1], q[0] + q[1] + q[2]
-    u, w, z = v[0] ** 2, (v[0] + v[1]) ** 2, (v[0] + v[1] + v[2]) ** 2
-    x1, x2, x3 = arm[L1] * math.cos(a1), arm[L2] * math.cos(a2), arm[L3] * math.cos(a3)
-    y1, y2, y3 = arm[L1] * math.sin(a1), arm[L2] * math.sin(a2), arm[L3] * math.sin(a3)
+    w1, w2, w3 = v[0], v[0] + v[1], v[0] + v[1] + v[2]
+    u, w, z = w1 * w1, w2 * w2, w3 * w3
+    (c1, s1), (c2, s2), (c3, s3) = cos_sin(a1), cos_sin(a2), cos_sin(a3)
+    x1, x2, x3 = arm[L1] * c1, arm[L2] * c2, arm[L3] * c3
+    y1, y2, y3 = arm[L1] * s1, arm[L2] * s2, arm[L3] * s3
     pose[0], pose[1], pose[2] = arm[X] + x1 + x2 + x3, arm[Y] + y1 + y2 + y3, a3
     J[0, 2], J[1, 2] = -y3, x3
     J[0, 1], J[1, 1] = -y2 - y3, x2 + x3
@@ -165,15 +180,20 @@ def solve_inverse_kinematics(arm: np.ndarray, pose: np.ndarray, elbow: int) -> n
     Raises:
         InputError: the pose is out of reach.
     """
-    x = pose[0] - arm[L3] * math.cos(pose[2]) - arm[X]
-    y = pose[1] - arm[L3] * math.sin(pose[2]) - arm[Y]
-    reach = math.hypot(x, y)
-    longest, shortest = arm[L1] + arm[L2], abs(arm[L1] - arm[L2])
+    find_direction, find_angle = interpret(cos_sin), interpret(atan2)
+    c, s = find_direction(float(pose[2]))
+    x, y = float(pose[0] - arm[L3] * c - arm[X]), float(pose[1] - arm[L3] * s - arm[Y])
+    reach = math.sqrt(x * x + y * y)
+    l1, l2 = float(arm[L1]), float(arm[L2])
+    longest, shortest = l1 + l2, abs(l1 - l2)
     if not shortest < reach < longest:
         raise InputError(
             f"pose ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g}) is out of reach: the wrist would be {reach:.3g} m "
             f"from the base; {shortest:.3g} to {longest:.3g} m are possible"
         )
-    bend = math.acos((reach**2 - arm[L1] ** 2 - arm[L2] ** 2) / (2 * arm[L1] * arm[L2])) * elbow
-    first = math.atan2(y, x) - math.atan2(arm[L2] * math.sin(bend), arm[L1] + arm[L2] * math.cos(bend))
+    # tan(bend / 2)^2 = (1 - cos(bend)) / (1 + cos(bend)), with the law of cosines.
+    far, near = (longest - reach) * (longest + reach), (reach - shortest) * (reach + shortest)
+    bend = 2.0 * find_angle(math.sqrt(far), math.sqrt(near)) * elbow
+    c, s = find_direction(bend)
+    first = find_angle(y, x) - find_angle(l2 * s, l1 + l2 * c)
     return np.array([first, bend, pose[2] - first - bend])

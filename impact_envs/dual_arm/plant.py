@@ -7,14 +7,14 @@ Contacts 0, 1 are the corners of arm 1's pad, 2, 3 those of arm 2's, 4, 5 the bo
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, interpret
 from impact_envs.dual_arm.arm import L1, L2, L3, X, Y, solve_arm
 from impact_envs.dual_arm.schema import DEEPEST, DualArmScenario, Physics
+from impact_envs.elementary import cos_sin, power
 from impact_envs.physics.contact import compute_friction, compute_normal_force
 
 STATE, ARM, BOX = 30, 12, 24  # size of the state, of an arm's part, and where the box begins
@@ -89,9 +89,10 @@ def make_plant(scenario: DualArmScenario, physics: Physics) -> Plant:
         The plant.
     """
     links, joints, box, pads, table = scenario.links, scenario.joints, scenario.box, scenario.pads, scenario.table
-    sink = (physics.mass * scenario.gravity / 2.0 / table.stiffness) ** (1.0 / table.exponent)
+    sink = interpret(power)(physics.mass * scenario.gravity / 2.0 / table.stiffness, 1.0 / table.exponent)
     x, y, heading = physics.box
     drop = box.half_height - sink
+    c, s = cos_sin(float(heading))
     return Plant(
         arms=scenario.arm_numbers(),
         limits=np.array([links.torque_limits] * 2, dtype=float),
@@ -107,9 +108,7 @@ def make_plant(scenario: DualArmScenario, physics: Physics) -> Plant:
         gravity=scenario.gravity,
         pad_half_height=links.pad_half_height,
         pads=TrueSurface(physics.stiffness, physics.damping, pads.exponent, physics.friction, pads.friction_slope),
-        table_pose=np.array(
-            [x + drop * np.sin(heading), y - drop * np.cos(heading), math.cos(heading), math.sin(heading)]
-        ),
+        table_pose=np.array([x + drop * s, y - drop * c, c, s]),
         table=TrueSurface(table.stiffness, table.damping, table.exponent, table.friction, table.friction_slope),
     )
 
@@ -209,9 +208,9 @@ def move_arm(
     w1 = s[n + 3]
     w2 = w1 + s[n + 4]
     w3 = w2 + s[n + 5]
-    x1, y1 = arm[L1] * math.cos(a1), arm[L1] * math.sin(a1)
-    x2, y2 = arm[L2] * math.cos(a2), arm[L2] * math.sin(a2)
-    c3, d3 = math.cos(a3), math.sin(a3)
+    (c1, d1), (c2, d2), (c3, d3) = directions = cos_sin(a1), cos_sin(a2), cos_sin(a3)
+    x1, y1 = arm[L1] * c1, arm[L1] * d1
+    x2, y2 = arm[L2] * c2, arm[L2] * d2
     x3, y3 = arm[L3] * c3, arm[L3] * d3
     x, y = arm[X] + x1 + x2 + x3, arm[Y] + y1 + y2 + y3
     vx, vy = -y1 * w1 - y2 * w2 - y3 * w3, x1 * w1 + x2 * w2 + x3 * w3
@@ -245,7 +244,7 @@ def move_arm(
             motor = ratio * tau[i, j] + (1.0 - ratio) * spring
             ds[n + 6 + j] = s[n + 9 + j]
             ds[n + 9 + j] = (motor - spring) / B[j]
-    b1, b2, b3 = solve_arm(arm, a1, a2, a3, w1, w2, w3, f1 + t1 - t2, f2 + t2 - t3, f3 + t3)
+    b1, b2, b3 = solve_arm(arm, directions, w1, w2, w3, f1 + t1 - t2, f2 + t2 - t3, f3 + t3)
     ds[n + 3], ds[n + 4], ds[n + 5] = b1, b2 - b1, b3 - b2
 
 
@@ -297,7 +296,7 @@ def compute_derivative(
     Source: van Steen et al., Eqs. 3 and 4.
     """
     force[0] = force[1] = force[2] = 0.0
-    c, d = math.cos(s[BOX + 2]), math.sin(s[BOX + 2])
+    c, d = cos_sin(s[BOX + 2])
     for i in range(2):
         move_arm(plant, i, tau, s, c, d, ds, contacts, force)
     support_box(plant, s, c, d, contacts, force)

@@ -11,8 +11,10 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from impact_envs.compiled import interpret
 from impact_envs.dual_arm.arm import make_arm, solve_inverse_kinematics
 from impact_envs.dual_arm.stability import compute_inverse_masses, find_contact_step, find_stiffest_joint
+from impact_envs.elementary import cos_sin
 from impact_envs.errors import InputError
 from impact_envs.scenario import (
     SMALLEST,
@@ -103,7 +105,7 @@ class GraspBox(Table):
     @property
     def inertia(self) -> float:
         """Return the inertia of the filled rectangle about its centre [kg m^2]."""
-        return self.mass * (self.half_width**2 + self.half_height**2) / 3.0
+        return self.mass * (self.half_width * self.half_width + self.half_height * self.half_height) / 3.0
 
 
 class Believed(Table):
@@ -253,7 +255,7 @@ class DualArmScenario(Scenario):
         Returns:
             Shape (2, 3) [m, rad].
         """
-        axis = self.box.half_width * np.array([math.cos(box[2]), math.sin(box[2])])
+        axis = self.box.half_width * np.array(interpret(cos_sin)(float(box[2])))
         return np.array([[*(box[:2] - axis), box[2]], [*(box[:2] + axis), box[2] + math.pi]])
 
     def as_believed(self) -> Self:

@@ -5,7 +5,6 @@ The same arithmetic as ImpactEnv with DualArmTask, so that a world of many equal
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +13,7 @@ from impact_envs.compiled import compiled, inlined
 from impact_envs.dual_arm.observation import ARM
 from impact_envs.dual_arm.plant import STATE
 from impact_envs.dual_arm.world import WIDTH, advance_tick, begin_world_period, write_rows
+from impact_envs.elementary import cos_sin
 from impact_envs.reward import compute_effort, compute_reward, compute_team_reward
 from impact_envs.stl.compiled_formula import CompiledFormula
 from impact_envs.stl.stepper import start_monitor, update_monitor
@@ -183,7 +183,8 @@ def take_sample(world: np.record, task: np.record, memory: Memory, k: int) -> No
         row, seen = world.rows[i], task.measured[i]
         for j in range(RECORD):  # angles, rates, forces
             seen[j] = row[MOTION + j]
-        seen[8], seen[9], seen[10], seen[11] = row[0], row[1], math.cos(row[4]), math.sin(row[4])
+        seen[8], seen[9] = row[0], row[1]
+        seen[10], seen[11] = cos_sin(row[4])
         seen[12], seen[13], seen[14] = row[2], row[3], row[5]
 
 

@@ -13,6 +13,7 @@ from impact_envs.dual_arm.observation import TRUTH, make_joint_layout, make_layo
 from impact_envs.dual_arm.schema import DualArmScenario, Physics
 from impact_envs.dual_arm.secrets import list_secrets, make_secrets_layout
 from impact_envs.dual_arm.world import FORCES, JOINTS, KEPT
+from impact_envs.elementary import cos_sin
 from impact_envs.interface.agent_vectors import read_vectors
 from impact_envs.interface.shape import Shape
 from impact_envs.observation import Layout
@@ -172,7 +173,7 @@ class DualArmTask:
 def _measure(state: list[float]) -> list[float]:
     """Return what is measured of an arm, as ARM says, from the row of its pad's true state."""
     x, y, vx, vy, heading, omega = state[MOTION]
-    return [*state[MOVED], x, y, math.cos(heading), math.sin(heading), vx, vy, omega]
+    return [*state[MOVED], x, y, *cos_sin(heading), vx, vy, omega]
 
 
 def _make_rectangle(x0: float, y0: float, x1: float, y1: float) -> tuple[tuple[float, float], ...]:

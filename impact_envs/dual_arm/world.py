@@ -5,8 +5,6 @@ The single environment is N = 1.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
@@ -26,6 +24,7 @@ from impact_envs.dual_arm.plant import (
     make_plant,
 )
 from impact_envs.dual_arm.schema import DualArmScenario, Physics
+from impact_envs.elementary import cos_sin
 
 # Columns of the true state of a body.
 JOINTS, RATES, FORCES, KEPT, WIDTH = slice(6, 9), slice(9, 12), slice(12, 14), slice(14, 22), 22
@@ -187,7 +186,7 @@ def record_touch(plant: np.record, world: np.record, clock: np.record, i: int, n
     world.touched[i] = world.hits[i] = 1
     first, second, touch = world.contacts[2 * i], world.contacts[2 * i + 1], world.touches[i]
     side = 1.0 - 2.0 * i
-    c, d = math.cos(world.state[BOX + 2]), math.sin(world.state[BOX + 2])
+    c, d = cos_sin(world.state[BOX + 2])
     nx, ny = side * c, side * d
     ratio = (first[TANGENTIAL] + second[TANGENTIAL]) / max(first[NORMAL] + second[NORMAL], 1e-12)
     touch[TIME] = world.marks[COUNT] * clock.tick

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import cos_sin, hypot
 
 
 class Contact(NamedTuple):
@@ -48,7 +48,7 @@ def compute_contact(
         box: x, y, heading, vx, vy, omega.
         half_length, half_width: of the box along its own axes [m].
     """
-    c, s = math.cos(box[2]), math.sin(box[2])
+    c, s = cos_sin(box[2])
     dx, dy = tip[0] - box[0], tip[1] - box[1]
     ux, uy = tip[2] - box[3], tip[3] - box[4]
     omega = box[5]
@@ -60,7 +60,7 @@ def compute_contact(
         px, py = sx * half_length, sy * half_width
         rx, ry = c * px - s * py, s * px + c * py
         ex, ey = dx - rx, dy - ry
-        distance = math.hypot(ex, ey)
+        distance = hypot(ex, ey)
         nx, ny = ex / distance, ey / distance
         wx, wy = ux + omega * ry, uy - omega * rx
         rate = nx * wx + ny * wy

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -11,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import cos_sin
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from impact_envs.observation import Layout, describe_robustness
 from impact_envs.physics.impact import Impact
@@ -107,7 +107,8 @@ def write_observation(
     n = len(states) - 4
     base, tip, box, target = states[0], states[n + 1], states[n + 2], states[n + 3]
     k = at.base
-    vector[k], vector[k + 1], vector[k + 2], vector[k + 3] = base[0], base[1], math.cos(base[4]), math.sin(base[4])
+    vector[k], vector[k + 1] = base[0], base[1]
+    vector[k + 2], vector[k + 3] = cos_sin(base[4])
     for i in range(n):
         vector[at.joints + i] = states[1 + i, 4] - states[i, 4]
         vector[at.joint_rates + i] = states[1 + i, 5] - states[i, 5]
@@ -117,7 +118,8 @@ def write_observation(
     vector[k], vector[k + 1], vector[k + 2], vector[k + 3] = tip[0] - target[0], tip[1] - target[1], tip[2], tip[3]
     k = at.box
     vector[k], vector[k + 1], vector[k + 2], vector[k + 3] = box[0], box[1], box[2], box[3]
-    vector[k + 4], vector[k + 5], vector[k + 6] = math.cos(box[4]), math.sin(box[4]), box[5]
+    vector[k + 4], vector[k + 5] = cos_sin(box[4])
+    vector[k + 6] = box[5]
     vector[at.contact], vector[at.time] = 1.0 if contact else 0.0, fraction
     for i in range(len(robustness)):
         vector[at.robustness + i] = robustness[i]

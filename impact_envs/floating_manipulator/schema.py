@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from impact_envs.compiled import interpret
+from impact_envs.elementary import atan2, cos_sin
 from impact_envs.errors import InputError, choices
 from impact_envs.floating_manipulator.contact import compute_contact
 from impact_envs.floating_manipulator.stability import find_longest_period
@@ -303,18 +305,22 @@ class FloatingManipulatorScenario(Scenario):
             raise ValueError(f"arm.tip: needs three links, there are {len(self.links)}; give arm.joints")
         assert self.arm.tip is not None
         a1, a2, a3 = (link.length for link in self.links.values())
-        c, s = math.cos(self.base.heading), math.sin(self.base.heading)
+        find_direction, find_angle = interpret(cos_sin), interpret(atan2)
         (dx, dy), (bx, by), last = self.base.mount, self.base.start, self.arm.last_heading
-        x = self.arm.tip[0] - a3 * math.cos(last) - bx - c * dx + s * dy
-        y = self.arm.tip[1] - a3 * math.sin(last) - by - s * dx - c * dy
-        cosine = (x * x + y * y - a1 * a1 - a2 * a2) / (2.0 * a1 * a2)
-        if abs(cosine) > 1.0:
+        (c, s), (c3, s3) = find_direction(self.base.heading), find_direction(last)
+        x = self.arm.tip[0] - a3 * c3 - bx - c * dx + s * dy
+        y = self.arm.tip[1] - a3 * s3 - by - s * dx - c * dy
+        # tan(elbow / 2)^2 = (1 - cos(elbow)) / (1 + cos(elbow)), with the law of cosines.
+        square = x * x + y * y
+        far, near = (a1 + a2) * (a1 + a2) - square, square - (a1 - a2) * (a1 - a2)
+        if min(far, near) < 0.0:
             raise ValueError(
                 f"arm.tip = {list(self.arm.tip)} with last_heading {last:g} is out of reach: the last link would start "
                 f"{math.hypot(x, y):.3g} m from joint 1, the links before it span {abs(a1 - a2):g} to {a1 + a2:g} m"
             )
-        elbow = math.acos(cosine) * (1.0 if self.arm.elbow == "positive" else -1.0)
-        first = math.atan2(y, x) - math.atan2(a2 * math.sin(elbow), a1 + a2 * math.cos(elbow))
+        elbow = 2.0 * find_angle(math.sqrt(far), math.sqrt(near)) * (1.0 if self.arm.elbow == "positive" else -1.0)
+        c, s = find_direction(elbow)
+        first = find_angle(y, x) - find_angle(a2 * s, a1 + a2 * c)
         return first - self.base.heading, elbow, math.remainder(last - first - elbow, math.tau)
 
     @model_validator(mode="after")
@@ -379,11 +385,11 @@ class FloatingManipulatorScenario(Scenario):
         """Return the distance between tip and box at the start, negative in overlap [m]."""
         chain, n, rest = self.chain(), len(self.links), np.zeros(len(self.start))
         w, rates = np.zeros((n + 1, 2)), np.zeros(n + 1)
-        _uncompiled(compute_directions)(chain, self.start, rest, w, rates)
-        tip = _uncompiled(compute_point)(self.start, rest, w, rates, chain.levers[-1])
+        interpret(compute_directions)(chain, self.start, rest, w, rates)
+        tip = interpret(compute_point)(self.start, rest, w, rates, chain.levers[-1])
         (length, width), (x, y) = self.box.size, self.box.start
         box = (x, y, self.box.heading, 0.0, 0.0, 0.0)
-        return float(_uncompiled(compute_contact)(tip, self.load.radius, box, length / 2, width / 2).gap)
+        return float(interpret(compute_contact)(tip, self.load.radius, box, length / 2, width / 2).gap)
 
     def _box_room(self) -> float:
         """Return the greatest distance between a point of the true box and of the box in the file [m]."""
@@ -392,8 +398,3 @@ class FloatingManipulatorScenario(Scenario):
         }
         x, y, turn = (max(map(abs, pair)) for pair in ranges.values())
         return math.hypot(x, y) + turn * math.hypot(*self.box.size) / 2
-
-
-def _uncompiled(function: Any) -> Any:
-    """Return the Python source of a compiled function: loading its code takes longer than reading all scenarios."""
-    return getattr(function, "py_func", function)

@@ -6,10 +6,9 @@ explicit Euler step of a damper.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from impact_envs.compiled import interpret
 from impact_envs.physics.multibody import Chain, compute_directions, compute_mass_matrix
 
 CONFIGURATIONS = 64  # of the joints at which the inertia is looked at; all joints straight is the first
@@ -32,9 +31,7 @@ def find_longest_period(chain: Chain, damping: np.ndarray) -> tuple[int, float]:
     joints[0] = 0.0
     roots, greatest, motor = np.sqrt(damping), 0.0, 0
     w, rates, rest, M = np.zeros((n + 1, 2)), np.zeros(n + 1), np.zeros(n + 3), np.zeros((n + 3, n + 3))
-    # The Python source: loading compiled code takes longer than reading all scenarios.
-    find_directions: Any = getattr(compute_directions, "py_func", compute_directions)
-    fill_masses: Any = getattr(compute_mass_matrix, "py_func", compute_mass_matrix)
+    find_directions, fill_masses = interpret(compute_directions), interpret(compute_mass_matrix)
     for q in joints:
         find_directions(chain, np.concatenate([np.zeros(3), q]), rest, w, rates)
         fill_masses(chain, w, M)

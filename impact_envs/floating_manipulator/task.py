@@ -19,6 +19,7 @@ from impact_envs.floating_manipulator.signals import find_length, read_coordinat
 from impact_envs.interface.agent_vectors import read_vectors
 from impact_envs.interface.failure import are_finite
 from impact_envs.interface.shape import Shape
+from impact_envs.normal import draw_normals
 from impact_envs.observation import MOTION, Layout
 from impact_envs.physics.impact import Impact
 from impact_envs.reward import compute_effort
@@ -253,7 +254,8 @@ class FloatingManipulatorTask:
         self._read_coordinates(states, self._q, self._v)
         measured = states.copy()
         if self._is_noisy:
-            measured[:-1] += self._noise * self._rng.standard_normal((len(states) - 1, 6))
+            drawn = draw_normals(self._rng, 6 * (len(states) - 1))
+            measured[:-1] += self._noise * drawn.reshape(-1, 6)
         self._measured.append((measured, contact))
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import atan, exp, power
 
 
 @compiled
@@ -31,11 +32,8 @@ def compute_normal_force(gap: float, gap_rate: float, stiffness: float, damping:
     """
     if gap >= 0.0:
         return 0.0
-    if gap_rate <= 0.0:
-        factor = stiffness - damping * gap_rate
-    else:
-        factor = stiffness * math.exp(-damping / stiffness * gap_rate)
-    return factor * (-gap) ** exponent
+    factor = stiffness - damping * gap_rate if gap_rate <= 0.0 else stiffness * exp(-damping / stiffness * gap_rate)
+    return factor * power(-gap, exponent)
 
 
 @compiled
@@ -56,4 +54,4 @@ def compute_friction(normal_force: float, slip_rate: float, friction: float, slo
 
     Source: van Steen et al., Eq. 7, with the sign that dissipates; Leine & Nijmeijer (2004).
     """
-    return friction * normal_force * (2.0 / math.pi) * math.atan(slope * slip_rate)
+    return friction * normal_force * (2.0 / math.pi) * atan(slope * slip_rate)

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import cos_sin
 
 
 class Chain(NamedTuple):
@@ -66,8 +67,19 @@ def make_chain(
     masses = np.array([base[0], *(link[0] for link in links), load[0]])
     inertia = np.array([base[1], *(link[1] for link in links)])
     inertia[n] += load[1]
-    second = levers.T @ (masses[:, None] * levers)
-    return Chain(float(masses.sum()), np.array(mount, dtype=float), masses @ levers, second, inertia, levers)
+    moments, rows = (masses[:, None] * levers).tolist(), levers.tolist()
+    # Plain sums: products of matrices are rounded otherwise on other processors.
+    first = [sum(row[j] for row in moments) for j in range(n + 1)]
+    pairs = list(zip(rows, moments, strict=True))
+    second = [[sum(row[k] * moment[j] for row, moment in pairs) for j in range(n + 1)] for k in range(n + 1)]
+    return Chain(
+        mass=float(sum(masses.tolist())),
+        mount=np.array(mount, dtype=float),
+        first=np.array(first),
+        second=np.array(second),
+        inertia=inertia,
+        levers=levers,
+    )
 
 
 @compiled
@@ -81,14 +93,14 @@ def compute_directions(chain: Chain, q: np.ndarray, v: np.ndarray, w: np.ndarray
         rates: result, shape (n + 1,) [rad/s].
     """
     theta, rate = q[2], v[2]
-    c, s = math.cos(theta), math.sin(theta)
+    c, s = cos_sin(theta)
     w[0, 0] = c * chain.mount[0] - s * chain.mount[1]
     w[0, 1] = s * chain.mount[0] + c * chain.mount[1]
     rates[0] = rate
     for j in range(1, len(rates)):
         theta += q[2 + j]
         rate += v[2 + j]
-        w[j, 0], w[j, 1] = math.cos(theta), math.sin(theta)
+        w[j, 0], w[j, 1] = cos_sin(theta)
         rates[j] = rate
 
 

@@ -5,13 +5,13 @@ Arrays of records: a compiled call takes one array where it would take dozens, a
 
 from __future__ import annotations
 
-import math
 from dataclasses import fields
 
 import numpy as np
 
 from impact_envs.compiled import inlined
 from impact_envs.dual_arm.schema import DualArmScenario
+from impact_envs.elementary import cos_sin
 from impact_envs.errors import InputError
 from planners.dual_arm.grasp_qp import PostGains
 from planners.dual_arm.options import ControllerOptions
@@ -140,7 +140,7 @@ def make_ante_field(scenario: DualArmScenario, options: ControllerOptions) -> An
             f"expert.controller.r_min = {r_min:g} and r_max = {r_max:g}: "
             f"half width of the box {scenario.box.half_width:g} < r_min < r_max is needed"
         )
-    c, d = math.cos(box[2]), math.sin(box[2])
+    c, d = cos_sin(float(box[2]))
     along, across = options.impact_velocity
     velocities = [(c * sign * along - d * across, d * sign * along + c * across) for sign in (1.0, -1.0)]
     return AnteField(

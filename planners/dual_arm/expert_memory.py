@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from impact_envs.dual_arm.observation import ARM
 from impact_envs.dual_arm.schema import DualArmScenario
+from impact_envs.elementary import exp, hypot
 from planners.dual_arm.options import Options
 from planners.dual_arm.readings import make_gates, make_surroundings
 from planners.reading_gate import COUNTS, ROWS
@@ -57,7 +56,7 @@ def make_rules(scenario: DualArmScenario, options: Options) -> np.ndarray:
     row["surroundings"] = make_surroundings(scenario, options.readings)
     row["first"], row["every"] = (max(1, round(t / period)) for t in (correction.first, correction.period))
     row["log_range"], row["most_change"] = correction.log_range, correction.rate * period
-    row["lag_share"] = 1.0 - math.exp(-period / correction.lag_time)
+    row["lag_share"] = 1.0 - exp(-period / correction.lag_time)
     return rules
 
 
@@ -70,5 +69,5 @@ def make_expert_memory(scenario: DualArmScenario, options: Options, count: int) 
         count: of worlds.
     """
     memory = np.zeros(count, EXPERT)
-    memory["gates"] = make_gates(scenario, math.hypot(*options.controller.impact_velocity), options.readings)
+    memory["gates"] = make_gates(scenario, hypot(*options.controller.impact_velocity), options.readings)
     return memory

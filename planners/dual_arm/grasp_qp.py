@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import cos_sin
 from planners.dual_arm.reference import PostField, compute_post_reference
 from planners.dual_arm.terms import Terms, compute_terms, estimate_box
 from planners.dual_arm.torque_qp import (
@@ -99,9 +100,10 @@ def write_contact(qp: TorqueQP, terms: Terms, gains: PostGains, box: np.ndarray,
     i = k // 2
     side = 1.0 - 2.0 * i
     half = gains.half_height * (1.0 - 2.0 * (k % 2))
-    c, d = math.cos(box[2]), math.sin(box[2])
+    c, d = cos_sin(box[2])
     heading, w, spin = terms.pose[i, 2], box[5], terms.twist[i, 2]
-    lx, ly = -half * math.sin(heading), half * math.cos(heading)
+    ch, dh = cos_sin(heading)
+    lx, ly = -half * dh, half * ch
     rx, ry = terms.pose[i, 0] + lx - box[0], terms.pose[i, 1] + ly - box[1]
     ux, uy = terms.twist[i, 0] - spin * ly - box[3], terms.twist[i, 1] + spin * lx - box[4]
     # the part of c'' - p_b'' - omega' S r - ... that comes from velocities alone

@@ -14,17 +14,16 @@ import numpy as np
 from impact_envs.dual_arm.arm import compute_kinematics
 from impact_envs.dual_arm.model import DualArmModel
 from impact_envs.dual_arm.schema import DualArmScenario
+from impact_envs.elementary import cos_sin
 from impact_envs.errors import InputError
 from impact_envs.file import replace_file
 from planners.dual_arm.control_memory import make_ante_field
 from planners.dual_arm.options import ControllerOptions, Options, PredictionOptions
 from planners.dual_arm.reference import ImpactMap, compute_ante_velocity, make_impact_map
 from planners.dual_arm.reference_spreading import ReferenceSpreading
+from planners.dual_arm.terms import find_rates
 
-VERSION = 1  # raise when the simulation changes what it returns
-# Of the simulated controller, whatever solver is chosen: friction that chatters amplifies the last bits of the torques
-# to 1e-6 m/s beside the middle, and predictions on disk are to stay what they were.
-SOLVER = "daqp"
+VERSION = 2  # raise when the simulation changes what it returns
 DIRECTORY = "IMPACT_ENVS_CACHE"  # environment variable
 # Tables of a scenario that simulated impacts do not depend on.
 UNUSED = {"name", "description", "formula", "horizon", "control_period", "world", "regions", "suites", "target", "true"}
@@ -94,7 +93,9 @@ def simulate_impacts(scenario: DualArmScenario, options: Options) -> tuple[np.nd
     ante_only = replace(
         options.controller, soft_start=0.0, time_out=np.inf, impact_map=False, interim_phase=True, synchronisation=True
     )
-    controller = ReferenceSpreading(rigid, None, ante_only, SOLVER)
+    # With our own solver, whichever is chosen: friction that chatters amplifies the last bits of torques to 1e-6 m/s
+    # beside the middle, and a library's next version may bring others.
+    controller = ReferenceSpreading(rigid, None, ante_only)
     single = _list_heights(options.prediction)
     heights = np.array([(first, second) for first in single for second in single])
     twists = []
@@ -125,12 +126,13 @@ def place_arms(
     box = scenario.box.start.array
     field = make_ante_field(scenario, controller)
     poses = scenario.contact_poses(box)
-    poses[:, :2] += heights[:, None] * np.array([-np.sin(box[2]), np.cos(box[2])])
+    c, s = cos_sin(float(box[2]))
+    poses[:, :2] += heights[:, None] * np.array([-s, c])
     q, v = scenario.joint_angles(poses), np.zeros((2, 3))
     pose, J, drift = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
     for i, arm in enumerate(scenario.arm_numbers()):
         compute_kinematics(arm, q[i], v[i], pose, J, drift)
-        v[i] = np.linalg.solve(J, [*compute_ante_velocity(field, i, pose[0], pose[1]), 0.0])
+        _, *v[i] = find_rates(J, *compute_ante_velocity(field, i, pose[0], pose[1]), 0.0)
     return q, v
 
 

@@ -7,11 +7,10 @@ Source: van Steen et al., Sec. 4.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.elementary import cos_sin, exp
 from planners.dual_arm.control_memory import (
     ANTE,
     INTERIM,
@@ -116,7 +115,7 @@ def update_phase(law: np.record, impact_map: ImpactMap, memory: np.record, terms
     memory.full = memory.full + 1 if least > law.contact_force else 0
     if memory.touched == NEVER and most > 0.0:
         compute_terms(law.arms, memory.q, memory.v, terms)
-        c, d = math.cos(law.believed_box[2]), math.sin(law.believed_box[2])
+        c, d = cos_sin(law.believed_box[2])
         for i in range(2):
             x, y = terms.pose[i, 0] - law.believed_box[0], terms.pose[i, 1] - law.believed_box[1]
             memory.heights[i] = c * y - d * x
@@ -162,7 +161,7 @@ def take_torques(law: np.record, memory: np.record, scratch: np.record) -> None:
                 if since == 0.0:
                     memory.step[i, j] = memory.torques[i, j] - torque
                 limit = law.limits[i, j]
-                torque = min(max(torque + memory.step[i, j] * math.exp(-since / fade), -limit), limit)
+                torque = min(max(torque + memory.step[i, j] * exp(-since / fade), -limit), limit)
             memory.torques[i, j] = torque
     memory.ticks += 1
 

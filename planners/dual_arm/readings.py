@@ -17,6 +17,7 @@ from impact_envs.compiled import compiled
 from impact_envs.dual_arm.arm import compute_pose
 from impact_envs.dual_arm.observation import ARM
 from impact_envs.dual_arm.schema import DualArmScenario
+from impact_envs.elementary import cos_sin
 from planners.dual_arm.options import ReadingOptions
 from planners.dual_arm.torque_qp import QDD
 from planners.reading_gate import (
@@ -50,7 +51,7 @@ def make_surroundings(scenario: DualArmScenario, options: ReadingOptions) -> np.
     box, near = scenario.box, options.near
     x, y, heading = box.start.array.tolist()
     across = box.half_height + scenario.links.pad_half_height + near
-    place = (x, y, math.cos(heading), math.sin(heading), box.half_width + near, across)
+    place = (x, y, *cos_sin(heading), box.half_width + near, across)
     return np.array([*place, options.force, scenario.control_period, options.patience])
 
 
@@ -67,7 +68,7 @@ def make_gates(scenario: DualArmScenario, impact_speed: float, options: ReadingO
     gate = make_gate(
         place=np.full(3, options.angle),
         rate=np.full(3, options.rate),
-        push=np.array([torque / (inertia + mass * center**2) for torque, inertia, mass, center in pairs]),
+        push=np.array([torque / (inertia + mass * center * center) for torque, inertia, mass, center in pairs]),
         jump=2.0 * impact_speed / np.array(links.lengths),
         turns=np.zeros(3),
     )

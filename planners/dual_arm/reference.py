@@ -10,7 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_envs.compiled import compiled
+from impact_envs.compiled import compiled, interpret
+from impact_envs.elementary import apply, exp, hypot
+from impact_envs.physics.multibody import factorise, solve_factorised
 
 NEAR = 1e-9  # below this a distance [m] or a velocity [m/s] has no direction
 
@@ -109,17 +111,17 @@ def _differentiate_ante(
     """Return the field and its derivative along (dx, dy)."""
     ux, uy = field.velocities[i, 0], field.velocities[i, 1]
     cx, cy = x - field.box[0], y - field.box[1]
-    r = math.hypot(cx, cy)
+    r = hypot(cx, cy)
     beta, slope = compute_smoothstep(r, field.r_min, field.r_max)
-    speed = math.hypot(ux, uy)
+    speed = hypot(ux, uy)
     if beta == 0.0 or speed < NEAR:
         return ux, uy, 0.0, 0.0
     alpha = field.alpha
     ex, ey = field.points[i, 0] - x, field.points[i, 1] - y
-    away = max(math.hypot(ex, ey), NEAR)
+    away = max(hypot(ex, ey), NEAR)
     wx = ux + alpha * (ex - ux / speed * away)
     wy = uy + alpha * (ey - uy / speed * away)
-    size = math.hypot(wx, wy)
+    size = hypot(wx, wy)
     if size < NEAR:
         return ux, uy, 0.0, 0.0
     closing = (ex * dx + ey * dy) / away
@@ -172,7 +174,7 @@ def compute_post_reference(
     if not field.blend:
         return gx, gy, gw, -kappa * gx, -kappa * gy, -turn * gw
     cx, cy = x - field.start[0], y - field.start[1]
-    r = math.hypot(cx, cy)
+    r = hypot(cx, cy)
     beta, slope = compute_smoothstep(r, 0.0, field.r_max)
     hx, hy, hw = field.twist[0], field.twist[1], field.twist[2]
     vx, vy, w = beta * gx + (1.0 - beta) * hx, beta * gy + (1.0 - beta) * hy, beta * gw + (1.0 - beta) * hw
@@ -214,9 +216,14 @@ def make_impact_map(heights: np.ndarray, twists: np.ndarray, rho: float) -> Impa
 
     Source: van Steen et al., App. A, Eq. A.1 with the dimensions of W corrected.
     """
-    distances = np.linalg.norm(heights[:, None] - heights[None], axis=2)
-    weights = np.linalg.solve(np.exp(-((rho * distances) ** 2)), twists).T
-    return ImpactMap(np.ascontiguousarray(heights), np.ascontiguousarray(weights), rho)
+    apart = rho * (heights[:, None] - heights[None])
+    near = apply(interpret(exp), -(apart[..., 0] * apart[..., 0] + apart[..., 1] * apart[..., 1]))
+    weights = np.ascontiguousarray(twists.T)
+    # Not LAPACK: it is rounded otherwise on other processors.
+    factorise(near)
+    for row in weights:
+        solve_factorised(near, row)
+    return ImpactMap(np.ascontiguousarray(heights), weights, rho)
 
 
 @compiled
@@ -242,7 +249,7 @@ def predict_twist(impact_map: ImpactMap, heights: np.ndarray, twist: np.ndarray)
     first, second = min(max(first, low_1), high_1), min(max(second, low_2), high_2)
     twist[0] = twist[1] = twist[2] = 0.0
     for i in range(count):
-        away = impact_map.rho * math.hypot(impact_map.heights[i, 0] - first, impact_map.heights[i, 1] - second)
-        near = math.exp(-(away**2))
+        away = impact_map.rho * hypot(impact_map.heights[i, 0] - first, impact_map.heights[i, 1] - second)
+        near = exp(-(away * away))
         for r in range(3):
             twist[r] += impact_map.weights[r, i] * near

@@ -89,16 +89,27 @@ def compute_nominal_rates(
         compute_kinematics(arms[i], q[i], v[i], terms.pose[i], terms.J[i], terms.drift[i])
         vx, vy = compute_ante_velocity(field, i, terms.pose[i, 0], terms.pose[i, 1])
         w, _ = compute_ante_rate(field, i, integrated[i, 2])
-        J = terms.J[i]
-        # The last row of J is ones: eliminate the third joint.
-        a, b, c, d = J[0, 0] - J[0, 2], J[0, 1] - J[0, 2], J[1, 0] - J[1, 2], J[1, 1] - J[1, 2]
-        ex, ey = vx - J[0, 2] * w, vy - J[1, 2] * w
-        det = a * d - b * c
-        if abs(det) < SINGULAR:
+        found, v_int[i, 0], v_int[i, 1], v_int[i, 2] = find_rates(terms.J[i], vx, vy, w)
+        if not found:
             v_int[i, 0], v_int[i, 1], v_int[i, 2] = v[i, 0], v[i, 1], v[i, 2]
-            continue
-        v_int[i, 0], v_int[i, 1] = (d * ex - b * ey) / det, (a * ey - c * ex) / det
-        v_int[i, 2] = w - v_int[i, 0] - v_int[i, 1]
+
+
+@compiled
+def find_rates(J: np.ndarray, vx: float, vy: float, w: float) -> tuple[bool, float, float, float]:
+    """Return whether an arm can move its pad at all as wished, and the joint rates that do, J^-1 (v, omega).
+
+    Args:
+        J: its Jacobian, whose last row is ones, shape (3, 3).
+        vx, vy, w: velocity of the pad [m/s], [rad/s].
+    """
+    # Eliminate the third joint.
+    a, b, c, d = J[0, 0] - J[0, 2], J[0, 1] - J[0, 2], J[1, 0] - J[1, 2], J[1, 1] - J[1, 2]
+    ex, ey = vx - J[0, 2] * w, vy - J[1, 2] * w
+    det = a * d - b * c
+    if abs(det) < SINGULAR:
+        return False, 0.0, 0.0, 0.0
+    first, second = (d * ex - b * ey) / det, (a * ey - c * ex) / det
+    return True, first, second, w - first - second
 
 
 @compiled

@@ -6,12 +6,12 @@ and x = (tau, q'', q_b'', lambda_N, lambda_T) after it (`grasp_qp`).
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import cos_sin
 from planners.dual_arm.reference import (
     AnteField,
     compute_ante_acceleration,
@@ -178,7 +178,7 @@ def add_synchronisation(qp: TorqueQP, terms: Terms, field: AnteField, gains: Ant
 
     Source: van Steen et al., Eqs. 22 to 25.
     """
-    c, d = math.cos(2.0 * field.box[2]), math.sin(2.0 * field.box[2])
+    c, d = cos_sin(2.0 * field.box[2])
     for r in range(2):
         # T_s = R diag(-1, 1) R' = [[-c, -d], [-d, c]] of twice the angle
         t0, t1 = (-c, -d) if r == 0 else (-d, c)
@@ -218,7 +218,8 @@ def build_interim(
         ax, ay = compute_ante_acceleration(field, i, terms.pose[i, 0], terms.pose[i, 1])
         _, turn = compute_ante_rate(field, i, integrated[i, 2])
         side = press * (1.0 - 2.0 * i)
-        ax, ay = ax + side * math.cos(field.box[2]), ay + side * math.sin(field.box[2])
+        c, d = cos_sin(field.box[2])
+        ax, ay = ax + side * c, ay + side * d
         for r in range(3):
             feedforward = ax if r == 0 else (ay if r == 1 else turn)
             weight, gain = (gains.w_p_int, gains.k_int) if r < 2 else (gains.w_theta_int, gains.k_theta_int)

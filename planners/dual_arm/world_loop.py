@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
 from impact_envs.dual_arm.observation import ARM
+from impact_envs.elementary import exp
 from planners.dual_arm.control_memory import POST
 from planners.dual_arm.phase_machine import compute_reference_error, control_arms, count_grasp_ticks
 from planners.dual_arm.readings import ANGLES, FORCES, RATES, judge_rows
@@ -96,8 +95,8 @@ def apply_correction(law: np.record, rules: np.record, memory: np.record, expert
     for i in range(2):
         change = expert.answer[i] - expert.applied[i]
         expert.applied[i] += min(max(change, -rules.most_change), rules.most_change)
-    weight = math.exp(rules.log_range * expert.applied[1])
-    memory.grip = math.exp(rules.log_range * expert.applied[0]) * law.grip
+    weight = exp(rules.log_range * expert.applied[1])
+    memory.grip = exp(rules.log_range * expert.applied[0]) * law.grip
     memory.mass, memory.inertia = weight * law.mass, weight * law.inertia
 
 

@@ -58,7 +58,7 @@ def avoid_box(options: CompensationOptions, contact: Contact, B: np.ndarray, u: 
         u: torques, updated, shape (n,) [N m].
     """
     rate = options.approach_rate
-    opening = contact.bias + 2.0 * rate * contact.rate + rate**2 * (contact.gap - options.clearance)
+    opening = contact.bias + 2.0 * rate * contact.rate + rate * rate * (contact.gap - options.clearance)
     square = options.damped_authority * options.damped_authority
     for j in range(len(u)):
         response = contact.nx * B[0, j] + contact.ny * B[1, j]

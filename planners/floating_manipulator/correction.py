@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import cos_sin, exp, hypot
 from impact_envs.floating_manipulator.contact import compute_contact
 from impact_envs.floating_manipulator.schema import FloatingManipulatorScenario
 from planners.floating_manipulator.options import Options
@@ -38,7 +37,7 @@ def await_correction(
     due, under_way = state.time >= state.due - ROUND_OFF, state.phase != PAUSE
     if under_way and (due or state.is_corrected):
         x, y, _, _, _, _ = locate_tip(table, memory, scratch, k)
-        under_way = math.hypot(x - table.goal[0], y - table.goal[1]) > correction.goal_distance
+        under_way = hypot(x - table.goal[0], y - table.goal[1]) > correction.goal_distance
     if not under_way:
         state.due = state.time
     state.is_awaited = under_way and due
@@ -63,7 +62,7 @@ def correct_world(table: ExpertTable, memory: ExpertMemory, options: Options, k:
     state, limits, n = memory.state[k], options.correction, memory.torques.shape[1]
     for j in range(n):
         memory.torques[k, j] = limits.torque_share * table.actuators.stall_torque[j] * c[j]
-    state.effort, state.speed_weight = math.exp(limits.log_range * c[n]), math.exp(limits.log_range * c[n + 1])
+    state.effort, state.speed_weight = exp(limits.log_range * float(c[n])), exp(limits.log_range * float(c[n + 1]))
     state.is_corrected = True
     wait_for_next(memory, options, k)
 
@@ -88,7 +87,7 @@ def write_features(
         features[1 + phase] = 1.0 if state.phase == phase else 0.0
     x, y, vx, vy, ax, ay = locate_tip(table, memory, scratch, k)
     features[4], features[5], features[6], features[7] = x - table.goal[0], y - table.goal[1], vx, vy
-    features[8], features[9] = math.cos(q[2]), math.sin(q[2])
+    features[8], features[9] = cos_sin(q[2])
     for j in range(3, m):
         features[7 + j] = q[j]
     for i in range(m):

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import hypot
 from impact_envs.physics.multibody import (
     Chain,
     compute_bias,
@@ -133,7 +134,7 @@ def compute_authority(B: np.ndarray) -> float:
         xx += B[0, j] * B[0, j]
         yy += B[1, j] * B[1, j]
         xy += B[0, j] * B[1, j]
-    square = (xx + yy) / 2.0 - math.hypot((xx - yy) / 2.0, xy)
+    square = (xx + yy) / 2.0 - hypot((xx - yy) / 2.0, xy)
     return math.sqrt(max(square, 0.0))
 
 

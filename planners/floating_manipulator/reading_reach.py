@@ -30,10 +30,10 @@ def make_gates(scenario: FloatingManipulatorScenario, options: ReadingOptions) -
     lengths = np.array([link.length for link in links])
     to_tip = np.cumsum(lengths[::-1])[::-1]
     torques, size = np.array([link.stall_torque for link in links]), float(to_tip[0])
-    jump = 2.0 * float(np.array([link.no_load_speed for link in links]) @ to_tip)
+    jump = 2.0 * sum(link.no_load_speed * far for link, far in zip(links, to_tip.tolist(), strict=True))
     force = scenario.thrusters.force if scenario.thrusters else 0.0
     wheel = scenario.wheel.stall_torque if scenario.wheel else 0.0
-    linear = (force * math.sqrt(2.0) + float(np.sum(torques / lengths))) / base.mass
+    linear = (force * math.sqrt(2.0) + sum((torques / lengths).tolist())) / base.mass
     joints = 2.0 * torques / np.array([link.inertia for link in links])
     turning = (wheel + torques[0]) / base.inertia
     place, speed = options.place * size, options.speed * size

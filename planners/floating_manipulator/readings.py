@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import atan2, hypot
 from impact_envs.floating_manipulator.actuation import compute_forces
 from impact_envs.floating_manipulator.contact import compute_contact
 from impact_envs.floating_manipulator.flow import take_step
@@ -31,7 +32,7 @@ def is_start(table: ExpertTable, joint: np.ndarray, k: int) -> bool:
 @compiled
 def read_heading(cos: float, sin: float) -> float:
     """Return the angle of a direction; NaN if its length is not about 1 [rad]."""
-    return math.atan2(sin, cos) if abs(math.hypot(cos, sin) - 1.0) <= UNIT_ERROR else math.nan
+    return atan2(sin, cos) if abs(hypot(cos, sin) - 1.0) <= UNIT_ERROR else math.nan
 
 
 @compiled
@@ -135,7 +136,7 @@ def is_contact_possible(
     pose = (box[0], box[1], box[2], box[3], box[4], box[5])
     tip = (x, y, vx, vy, ax, ay)
     contact = compute_contact(tip, system.radius, pose, system.half_length, system.half_width)
-    return contact.gap <= limits.place * table.reach + math.hypot(vx, vy) * table.period
+    return contact.gap <= limits.place * table.reach + hypot(vx, vy) * table.period
 
 
 @compiled

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import exp, log
 
 ITERATIONS = 60  # at most, of Newton's method for the sign
 # Relative change of the sign at which one last step follows: the method converges quadratically.
@@ -59,7 +60,7 @@ def invert_matrix(Z: np.ndarray, inverse: np.ndarray) -> float:
         pivot = Z[best, k]
         if pivot == 0.0 or not math.isfinite(pivot):
             return math.inf
-        log_det += math.log(abs(pivot))
+        log_det += log(abs(pivot))
         for j in range(m):
             held = Z[best, j]
             Z[best, j] = Z[k, j]
@@ -173,7 +174,7 @@ def compute_sign(Z: np.ndarray, inverse: np.ndarray, work: np.ndarray) -> bool:
         log_det = invert_matrix(work, inverse)
         if not math.isfinite(log_det):
             return False
-        c = 1.0 if last else math.exp(-log_det / m)
+        c = 1.0 if last else exp(-log_det / m)
         change = size = 0.0
         for i in range(m):
             for j in range(m):

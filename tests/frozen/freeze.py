@@ -1,8 +1,8 @@
 """Whole episodes of every shipped scenario, frozen: what must not change without a raised id.
 
-`python -m tests.frozen.freeze` plays all of them and rewrites `episodes.json`. It says which ids changed, and writes
-nothing if an id's episodes changed without its version: raise it in `impact_envs/__init__.py` first. Plans are read
-from `plans/`; the command makes those that are missing.
+`python -m tests.frozen.freeze [SCENARIO ...]` plays all of them, or those of some scenarios, and rewrites
+`episodes.json`. It says which ids changed, and writes nothing if an id's episodes changed without its version: raise it
+in `impact_envs/__init__.py` first. Plans are read from `plans/`; the command makes those that are missing.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import math
 import os
 import platform
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from impact_envs import Episode, gym_id, list_scenarios, load_scenario, parallel_env, rollout
+from impact_envs.errors import choices
 from impact_envs.rollout import RandomPolicy
 from planners import has_planner, list_variants, make_expert, make_plan
 from planners.plan import Plan
@@ -150,12 +151,12 @@ def describe(episode: Episode, observations: list[dict[str, np.ndarray]]) -> dic
     }
 
 
-def find_difference(found: dict[str, Any], frozen: dict[str, Any], same_machine: bool) -> str | None:
+def find_difference(found: dict[str, Any], frozen: dict[str, Any], same_system: bool) -> str | None:
     """Return what is not as it was in an episode, or None."""
     for index, (new, old) in enumerate(zip(found["numbers"], frozen["numbers"], strict=True)):
         if new != old and not math.isclose(float(new), float(old), rel_tol=TOLERANCE, abs_tol=TOLERANCE):
             return f"number {index} is {new!r}, was {old!r}"
-    if same_machine and found["digest"] != frozen["digest"]:
+    if same_system and found["digest"] != frozen["digest"]:
         return "the sampled numbers agree, the digest does not"
     return None
 
@@ -172,26 +173,45 @@ def label(case: Case) -> str:
     return " ".join(map(str, case[1:]))
 
 
-def write(episodes: dict[str, dict[str, Any]]) -> None:
+def write(episodes: dict[str, dict[str, Any]], fingerprint: dict[str, str]) -> None:
     """Write the file, one line an episode."""
     blocks = []
     for name in sorted(episodes):
         lines = [f"   {json.dumps(key)}: {json.dumps(episodes[name][key])}" for key in sorted(episodes[name])]
         blocks.append(f"  {json.dumps(name)}: {{\n" + ",\n".join(lines) + "\n  }")
-    head = f'{{"fingerprint": {json.dumps(read_fingerprint())},\n "episodes": {{\n'
+    head = f'{{"fingerprint": {json.dumps(fingerprint)},\n "episodes": {{\n'
     FILE.write_text(head + ",\n".join(blocks) + "\n}}\n", encoding="utf-8")
 
 
-def main() -> int:
-    """Play everything, say what changed, and write the file unless an id changed without its version."""
-    old, episodes, changed = read(), dict[str, dict[str, Any]](), dict[str, str]()
-    same_machine = old["fingerprint"] == read_fingerprint()
-    for scenario in list_scenarios():
+def keep(old: dict[str, dict[str, Any]], scenarios: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the frozen episodes of scenarios that are not played anew, of the present versions."""
+    kept = {get_id(*case[::2]): {} for name in list_scenarios() if name not in scenarios for case in list_cases(name)}
+    return {name: old[name] for name in kept if name in old}
+
+
+def is_same_system(recorded: dict[str, str]) -> bool:
+    """Return whether bits must agree with recorded ones: with the same libraries, on whatever processor of a kind."""
+    return all(recorded.get(name) == value for name, value in read_fingerprint().items() if name != "cpu")
+
+
+def main(chosen: Sequence[str]) -> int:
+    """Play all or chosen scenarios, say what changed, and write the file unless an id changed without its version."""
+    scenarios = [name for name in list_scenarios() if not chosen or name in chosen]
+    old, changed = read(), dict[str, str]()
+    same_system = is_same_system(old["fingerprint"])
+    if unknown := sorted({*chosen} - {*scenarios}):
+        print(f"no scenario: {', '.join(unknown)}; {choices(unknown[0], list_scenarios())}", file=sys.stderr)
+        return 2
+    if chosen and not same_system:
+        print("the other episodes were frozen with other libraries: play all", file=sys.stderr)
+        return 2
+    episodes = keep(old["episodes"], scenarios)
+    for scenario in scenarios:
         for case in list_cases(scenario):
             name, key = get_id(scenario, case[2]), label(case)
             found = episodes.setdefault(name, {})[key] = play(case)
             frozen = old["episodes"].get(name, {}).get(key)
-            difference = find_difference(found, frozen, same_machine) if frozen else None
+            difference = find_difference(found, frozen, same_system) if frozen else None
             print(f"{name} {key}: {difference or ('as it was' if frozen else 'new')}", flush=True)
             if difference:
                 changed.setdefault(name, f"{key}: {difference}")
@@ -200,9 +220,9 @@ def main() -> int:
     for name, difference in changed.items():
         print(f"{name} changed ({difference}): raise its version in impact_envs/__init__.py", file=sys.stderr)
     if not changed:
-        write(episodes)
+        write(episodes, old["fingerprint"] if chosen else read_fingerprint())
     return 1 if changed else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

