@@ -91,6 +91,9 @@ class ImpactParameters:
     slowest: float = 1e-3  # approach that tells anything [m/s]
     iterations: Count = 8  # of Gauss-Newton
     farthest: float = 1.5  # that one hit may move the logarithm of a mass ratio
+    # A change that is so many standard deviations from what was seen of it before is not the hit's alone: something
+    # else touched the object since, such as another object, and what was seen before counts.
+    sure: Positive = 4.0
 
 
 @dataclass(frozen=True)
@@ -197,6 +200,8 @@ class Replanning:
     steady: float = 1.5  # for no longer than this,
     quick: float = 0.3  # and not if that is done as quickly [s]
     off_course: float = 0.1  # tracking error above which a course starts from the estimated state [m]
+    # Of the thrust: an impact to which its robot would need so much is put off at once, not when the course is lost.
+    hopeless: Positive = 1.1
 
 
 @dataclass(frozen=True)
@@ -295,7 +300,7 @@ class Avoidance:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Keeping off walls and solid obstacles, and going round them."""
+    """Keeping off walls and solid obstacles, and going round them and round objects."""
 
     clearance: float = 0.03  # kept between a robot and a wall, less than the 0.05 of plans [m]
     late: float = 0.2  # after the expected impact, until which it is trusted to come before the wall does [s]
@@ -304,6 +309,8 @@ class Surroundings:
     through: float = (
         0.02  # overlap of a course with the object that it is to hit, before that, from which it passes by [m]
     )
+    aside: float = 0.1  # clearance of courses to objects that they do not end at, that of the barrier [m],
+    beside: float = 0.2  # and of the via points beside them [m]
     samples: Count = 24  # of a course that are looked at, at most
     intrusion: float = 10.0  # cost of a course that is too near all the time, and of twice the thrust that there is
     waits: tuple[Share, ...] = (0.3, 0.6)  # shares of a course after which its robot may first set out
