@@ -136,7 +136,7 @@ class Aim:
     hastenings: CountOrNone = 12  # so often at most: down to a seventh of the flight's time
     via: Share = 0.4  # share of the depth by which a place that a flight has to pass may be missed
     bend: float = 0.25  # from the straight way that a drifting object may fly, at most half the next knot's depth [m]
-    cruise: float = 0.15  # speed at which any leg can be flown [m/s],
+    cruise: float = 0.2  # speed at which any leg can be flown [m/s],
     hurry: float = 1.15  # or so many times the plan's, where the plan itself is faster,
     fastest: Share = 0.95  # up to this share of the object's limit
     shares: Count = 20  # of the way to the plan's end that are tried,
@@ -200,8 +200,6 @@ class Replanning:
     steady: float = 1.5  # for no longer than this,
     quick: float = 0.3  # and not if that is done as quickly [s]
     off_course: float = 0.1  # tracking error above which a course starts from the estimated state [m]
-    # Of the thrust: an impact to which its robot would need so much is put off at once, not when the course is lost.
-    hopeless: Positive = 1.1
 
 
 @dataclass(frozen=True)
@@ -309,7 +307,7 @@ class Surroundings:
     through: float = (
         0.02  # overlap of a course with the object that it is to hit, before that, from which it passes by [m]
     )
-    aside: float = 0.1  # clearance of courses to objects that they do not end at, that of the barrier [m],
+    aside: float = 0.05  # clearance of courses to objects that they do not end at: the barrier slows robots there [m],
     beside: float = 0.2  # and of the via points beside them [m]
     samples: Count = 24  # of a course that are looked at, at most
     intrusion: float = 10.0  # cost of a course that is too near all the time, and of twice the thrust that there is

@@ -82,23 +82,18 @@ def is_reachable(
     vy: float,
     span: float,
 ) -> bool:
-    """Return whether robot r can be at a position with a velocity after a time by a quintic, with ease."""
-    most = options.reach.ease * plan.pilot[r, GAIN] * plan.pilot[r, INPUT_LIMIT]
-    return compute_peak(memory, k, r, x, y, vx, vy, span) <= most
-
-
-@compiled
-def compute_peak(memory: WorldMemory, k: int, r: int, x: float, y: float, vx: float, vy: float, span: float) -> float:
-    r"""Return the greatest acceleration of a quintic that brings robot r to a position with a velocity [m/s^2].
+    r"""Return whether robot r can be at a position with a velocity after a time by a quintic, within its thrust.
 
     a(tau) = d (60 tau - 180 tau^2 + 120 tau^3) / T^2 + 6 (v - v_0) tau (1 - tau) / T, d = x - x_0 - T (v + v_0) / 2
     """
-    z, peak = memory.filter[k, r], 0.0
+    z, pilot = memory.filter[k, r], plan.pilot[r]
     x_0, y_0, vx_0, vy_0 = z.position[0], z.position[1], z.velocity[0], z.velocity[1]
     dx, dy = x - x_0 - span / 2 * (vx + vx_0), y - y_0 - span / 2 * (vy + vy_0)
+    most = options.reach.ease * pilot[GAIN] * pilot[INPUT_LIMIT]
     for i in range(1, 8):
         tau = i / 8.0
         way = (60.0 * tau - 180.0 * tau * tau + 120.0 * tau * tau * tau) / (span * span)
         turn = 6.0 * tau * (1.0 - tau) / span
-        peak = max(peak, math.hypot(way * dx + turn * (vx - vx_0), way * dy + turn * (vy - vy_0)))
-    return peak
+        if math.hypot(way * dx + turn * (vx - vx_0), way * dy + turn * (vy - vy_0)) > most:
+            return False
+    return True

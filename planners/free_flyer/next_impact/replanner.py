@@ -22,7 +22,7 @@ from planners.free_flyer.next_impact.desired_velocity import (
     is_answered,
 )
 from planners.free_flyer.next_impact.detour import go_round, move_clear
-from planners.free_flyer.next_impact.reachability import compute_peak, is_reachable
+from planners.free_flyer.next_impact.reachability import is_reachable
 from planners.free_flyer.next_impact.two_body import NO_CHANGE, solve_soft_two_body_impact, solve_two_body_impact
 from planners.free_flyer.tracking.course import (
     evaluate_course,
@@ -31,7 +31,6 @@ from planners.free_flyer.tracking.course import (
     read_clock,
 )
 from planners.free_flyer.tracking.least_acceleration import plan_least_acceleration
-from planners.free_flyer.tracking.mpc import GAIN, INPUT_LIMIT
 
 
 @compiled
@@ -161,8 +160,6 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         if options.retime and not postpone_impact(plan, memory, options, k, r, o, now):
             withdraw_impact(plan, memory, options, k, o, now)
             return
-    elif options.retime and is_hopeless(plan, memory, options, k, r, o, now):
-        postpone_impact(plan, memory, options, k, r, o, now)
     strike.replanned_at = now
     memory.counts[k].replans += 1
     index = strike.index
@@ -201,21 +198,6 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     )
     if options.walls:
         go_round(plan, memory, options, k, r, o, now, strike.time)
-
-
-@compiled
-def is_hopeless(plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float) -> bool:
-    """Return whether robot r cannot be at its impact on object o in time, even with more thrust than it has.
-
-    It would only lose its course on the way. In the last seconds courses are what they are.
-    """
-    strike = memory.strike[k, o]
-    span = strike.time - now
-    if strike.is_answered or span <= options.retiming.frozen:
-        return False
-    x, y, vx, vy = strike.contact[0], strike.contact[1], strike.robot_minus[0], strike.robot_minus[1]
-    most = options.replanning.hopeless * plan.pilot[r, GAIN] * plan.pilot[r, INPUT_LIMIT]
-    return compute_peak(memory, k, r, x, y, vx, vy, span) > most
 
 
 @compiled
