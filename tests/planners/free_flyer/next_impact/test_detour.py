@@ -124,6 +124,8 @@ def test_impulse_is_turned_until_its_robot_is_in_no_wall() -> None:
 
 def test_clear_course_stays_bit_for_bit() -> None:
     crew = Crew()
+    for k, body in enumerate((POP, PIP, PIP + 1)):  # no object is in the way either
+        crew.see(body, (9.0, 7.0 + k))
     crew.approach((1.0, 2.0), (8.0, 2.5), (0.1, 0.05), 40.0)
     before = crew.course[SNAP].tobytes()
     crew.go_round()
