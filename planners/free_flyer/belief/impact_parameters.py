@@ -151,6 +151,17 @@ def relearn_pairs(memory: WorldMemory, options: Options, k: int) -> None:
 
 
 @compiled
+def is_disturbed(memory: WorldMemory, options: Options, k: int, o: int, gained: float) -> bool:
+    """Return whether something else has changed object o's velocity since its last hit was looked at.
+
+    Args:
+        gained: change of its velocity along the hit's normal as it looks now [m/s].
+    """
+    hit, sure = memory.hit[k, o], options.impact_parameters.sure
+    return hit.gained_variance > 0.0 and (gained - hit.gained) ** 2 > sure * sure * hit.gained_variance
+
+
+@compiled
 def settle_hit(memory: WorldMemory, options: Options, k: int, o: int) -> None:
     """End the observation of the last hit on object o; the next hit of any pair may differ a little."""
     hit = memory.hit[k, o]

@@ -91,6 +91,9 @@ class ImpactParameters:
     slowest: float = 1e-3  # approach that tells anything [m/s]
     iterations: Count = 8  # of Gauss-Newton
     farthest: float = 1.5  # that one hit may move the logarithm of a mass ratio
+    # A change that is so many standard deviations from what was seen of it before is not the hit's alone: something
+    # else touched the object since, such as another object, and what was seen before counts.
+    sure: Positive = 4.0
 
 
 @dataclass(frozen=True)
@@ -130,10 +133,10 @@ class Aim:
     # would have to go round it: otherwise it flies faster to its next place,
     kept_side: Cosine = 0.7
     sooner: Share = 0.85  # by this share of its flight's time at a time,
-    hastenings: CountOrNone = 0  # so often at most
+    hastenings: CountOrNone = 12  # so often at most: down to a seventh of the flight's time
     via: Share = 0.4  # share of the depth by which a place that a flight has to pass may be missed
     bend: float = 0.25  # from the straight way that a drifting object may fly, at most half the next knot's depth [m]
-    cruise: float = 0.15  # speed at which any leg can be flown [m/s],
+    cruise: float = 0.2  # speed at which any leg can be flown [m/s],
     hurry: float = 1.15  # or so many times the plan's, where the plan itself is faster,
     fastest: Share = 0.95  # up to this share of the object's limit
     shares: Count = 20  # of the way to the plan's end that are tried,
@@ -212,8 +215,9 @@ class Retiming:
     pull: float = 1e-5  # weight of changing the time, squared [m^2/s^2]
     reserve: float = 4.0  # after the last impact [s], or
     reserve_share: Share = 0.1  # of the horizon
-    # An object that waits for its first impact and will have drifted so far from its place by then is hit sooner [m],
-    stray: float = math.inf
+    # An object that waits for its first impact and will have drifted so far from its place by then is hit sooner [m]:
+    # farther away it may be behind an obstacle or at a wall, and its robot's planned way past others tells nothing;
+    stray: float = 0.5
     stray_deviations: float = 2.0  # and so many standard deviations more:
     stray_share: Share = 0.6  # when it has drifted so large a share of that, or later,
     careful: Positive = 1.0  # because its robot is given so many times as long as it needs
@@ -252,8 +256,9 @@ class Insertion:
     least_share: Share = 0.5  # of the wished change of velocity, below which it is withdrawn
     least_change: float = 4e-3  # of the object's velocity that is worth an impact [m/s]
     side: Cosine = 0.6  # cosine between the way from robot to object and the change of velocity, at least
-    # By so much an object misses the place of its first impact for which another one is inserted before it [m],
-    stray: float = math.inf
+    # By so much an object misses the place of its first impact for which another one is inserted before it [m]: more
+    # than what hitting it sooner mends;
+    stray: float = 1.0
     wait: float = 30.0  # if that is so far off [s]
     edge: float = 0.2  # an impact is inserted, too, if its robot would come so near to areas it may not leave [m]
     wall: float = 0.1  # kept by the robot from the edge of areas it may not leave [m]
@@ -283,16 +288,17 @@ class Avoidance:
     braking: Share = 0.7  # share of the thrust, for each of two robots
     sweeps: CountOrNone = 3  # over all neighbours
     # A robot keeps off the object that it is to hit, too, while the way to it is turned from the impulse by an angle of
-    # a cosine below this: it would push the object aside,
-    target_side: Cosine = -1.0
+    # a cosine below this, beside it or beyond: it would push the object aside,
+    target_side: Cosine = 0.3
     target_clearance: float = 0.02  # by so much [m],
-    # or if it comes sooner than this before the expected impact, and too fast to brake [s].
-    target_early: float = math.inf
+    # or if it comes sooner than this before the expected impact, and too fast to brake [s]: a contact is taken for the
+    # expected one from Timing.earliest before it, and half a second is left for a late reading.
+    target_early: float = 2.5
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Keeping off walls and solid obstacles, and going round them."""
+    """Keeping off walls and solid obstacles, and going round them and round objects."""
 
     clearance: float = 0.03  # kept between a robot and a wall, less than the 0.05 of plans [m]
     late: float = 0.2  # after the expected impact, until which it is trusted to come before the wall does [s]
@@ -301,6 +307,8 @@ class Surroundings:
     through: float = (
         0.02  # overlap of a course with the object that it is to hit, before that, from which it passes by [m]
     )
+    aside: float = 0.05  # clearance of courses to objects that they do not end at: the barrier slows robots there [m],
+    beside: float = 0.2  # and of the via points beside them [m]
     samples: Count = 24  # of a course that are looked at, at most
     intrusion: float = 10.0  # cost of a course that is too near all the time, and of twice the thrust that there is
     waits: tuple[Share, ...] = (0.3, 0.6)  # shares of a course after which its robot may first set out

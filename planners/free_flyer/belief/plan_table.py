@@ -56,9 +56,10 @@ KNOT = np.dtype(
         ("depth", float),  # planned distance to the nearest face, inf without faces [m]
         ("faces", int),  # number of faces
         ("stay", float),  # how long the object has to stay from its arrival on, whenever that is [s]
-        # A place on the flight to the next knot that has to be passed: after which share of its time, 0: none, and by
-        # how much it may be missed [m].
+        # A place on the flight to the next knot that has to be passed: after which share of its time, 0: none, until
+        # when [s], and by how much it may be missed [m].
         ("via_share", float),
+        ("via_closes", float),
         ("via", float, 2),  # [m]
         ("via_depth", float),
         # Box for which the plan promises that all goes on well, empty where it promises nothing [m].
@@ -250,6 +251,7 @@ def _make_knots(knots: list[Knot], begin: float) -> tuple[np.ndarray, np.ndarray
         row["stay"] = knot.stay
         if knot.via is not None:
             row["via_share"], row["via"], row["via_depth"] = knot.via.share, knot.via.position, knot.via.depth
+            row["via_closes"] = begin + knot.via.closes
     return table, face
 
 

@@ -8,6 +8,7 @@ from impact_envs.compiled import compiled, inlined
 from planners.free_flyer.belief.drift import find_motion, mix_variance
 from planners.free_flyer.belief.impact_parameters import (
     UNSEEN,
+    is_disturbed,
     relearn_pairs,
     settle_hit,
     start_pairs,
@@ -59,6 +60,9 @@ def start_strikes(plan: PlanTable, memory: WorldMemory, options: Options, k: int
                 way = math.hypot(knot.position[0] - last[0], knot.position[1] - last[1])
                 sooner = start + max(options.timing.haste * (knot.closes - start), way / options.timing.fast)
                 memory.clock[k, at] = min(max(sooner, knot.opens), impact.time)
+            if before != NO_IMPACT and plan.knot[before].via_share > 0.0 and len(plan.response) == 0:
+                sooner = find_passage(plan, options, before, memory.clock[k, before])
+                memory.clock[k, at] = min(memory.clock[k, at], max(sooner, knot.opens))
             at, before = impact.next, at
     for i in range(len(plan.knot)):
         memory.place[k, i, 0], memory.place[k, i, 1] = plan.knot[i].position[0], plan.knot[i].position[1]
@@ -68,6 +72,20 @@ def start_strikes(plan: PlanTable, memory: WorldMemory, options: Options, k: int
         calm = now - options.timing.settle if now > 0.0 else -math.inf
         strike.last_contact = strike.looked_at = strike.optimised_at = calm
         await_impact(plan, memory, options, k, o, plan.first[o], now)
+
+
+@compiled
+def find_passage(plan: PlanTable, options: Options, index: int, start: float) -> float:
+    """Return when the flight from a knot should end, so that a weak throw still passes its via place in time [s].
+
+    Args:
+        index: of the knot.
+        start: when the flight begins [s].
+    """
+    knot, timing = plan.knot[index], options.timing
+    way = math.hypot(knot.via[0] - knot.position[0], knot.via[1] - knot.position[1])
+    passage = max(timing.haste * (knot.via_closes - start), way / timing.fast)
+    return start + passage / knot.via_share
 
 
 @compiled
@@ -283,7 +301,12 @@ def learn_from_hits(plan: PlanTable, memory: WorldMemory, options: Options, k: i
         if options.learn and now >= hit.learned_at + options.timing.learn_period - ROUND_OFF:
             nx, ny = hit.contact.normal[0], hit.contact.normal[1]
             hit.contact.lever = compute_lever(z, body.gyration, hit.contact.angle, nx, ny)
-            hit.gained = x * hit.contact.normal[0] + y * hit.contact.normal[1]
+            gained = x * nx + y * ny
+            if is_disturbed(memory, options, k, o, gained):
+                settle_hit(memory, options, k, o)
+                seen = True
+                continue
+            hit.gained = gained
             variance = z.P_vv - 2.0 * since * z.P_va.real + since * since * z.P_aa
             variance = max(mix_variance(z, variance, z.P_va - since * z.P_aa), 0.0)
             variance += (

@@ -1,8 +1,9 @@
-"""Go round walls and solid obstacles: replace a course that comes too near by one through a via point; compiled.
+"""Go round walls, obstacles and objects: replace a course that comes too near by one through a via point; compiled.
 
 Robots stand near walls and run up to what they hit: a quintic that has much time for a short way swings out behind its
-start, and one to the other side of an obstacle goes through it. Via points are corners of obstacles, the worst place of
-the course moved clear, its start, and the place where the run-up to its end begins.
+start, and one to the other side of an obstacle goes through it. Before an object in the way the barrier would stop the
+robot for good. Via points are corners of obstacles, the worst place of the course moved clear, or to either side of the
+object that is nearest there, its start, and the place where the run-up to its end begins.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ class Way(NamedTuple):
         o: object that it hits at the end, or NO_OBJECT.
         now: when it begins [s].
         least: gap to walls and solid obstacles, where its ends are no nearer [m].
+        aside: gap to other objects, where its ends are no nearer [m].
         reach: distance from the centre of the object at which it is hit, 0 without one [m].
     """
 
@@ -41,6 +43,7 @@ class Way(NamedTuple):
     o: int
     now: float
     least: float
+    aside: float
     reach: float
 
 
@@ -48,7 +51,7 @@ class Way(NamedTuple):
 def go_round(
     plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, o: int, now: float, latest: float
 ) -> None:
-    """Replace robot r's course, which begins now, by a detour if it comes too near to a wall or solid obstacle.
+    """Replace robot r's course, which begins now, by a detour if it comes too near to a wall, obstacle or object.
 
     Nor may it lead through the object that it is to hit. Of all candidates, the course itself among them, the one of
     least cost is taken: see `weigh_course`. A course back to the plan may take up to `stretch` times as long.
@@ -70,7 +73,10 @@ def go_round(
         strike = memory.strike[k, o]
         x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, strike.time)
         reach = math.hypot(strike.contact[0] - x, strike.contact[1] - y)
-    way = Way(r, o, now, min(least, surroundings.near), reach)
+    aside = min(
+        measure_aside(plan, memory, k, r, o, here, now), measure_aside(plan, memory, k, r, o, there, course.until)
+    )
+    way = Way(r, o, now, min(least, surroundings.near), min(aside, surroundings.aside), reach)
     if is_clear(plan, memory, options, k, way):
         return
     begin, end = evaluate_quintic(course, now), evaluate_quintic(course, course.until)
@@ -113,19 +119,60 @@ def go_round(
 def pass_by(
     plan: PlanTable, memory: WorldMemory, options: Options, k: int, way: Way, side: int, time: float, found: Motion
 ) -> tuple[float, float]:
-    """Return the worst place of a course, or the places to the left and right of the object that is hit then.
+    """Return the worst place of a course, or the places to the left and right of the object that is nearest then.
 
     Args:
         side: 0: the place, 1, 2: left, right of the object.
         time: when the course is worst [s].
         found: motion there.
     """
-    if side == 0 or way.o == NO_OBJECT:
+    o = find_nearest_object(plan, memory, k, way, found, time)
+    if side == 0 or o == NO_OBJECT:
         return found[0], found[1]
-    x, y, vx, vy = extrapolate_flight(memory, k, plan.robots + way.o, time)
+    x, y, vx, vy = predict_object(plan, memory, k, o, time)
+    if o == way.o:
+        apart = way.reach + options.surroundings.margin
+    else:
+        apart = plan.body[way.r].radius + plan.body[plan.robots + o].radius + options.surroundings.beside
     wx, wy = found[2] - vx, found[3] - vy
-    scale = (3.0 - 2.0 * side) * (way.reach + options.surroundings.margin) / max(math.hypot(wx, wy), 1e-9)
+    scale = (3.0 - 2.0 * side) * apart / max(math.hypot(wx, wy), 1e-9)
     return x - scale * wy, y + scale * wx
+
+
+@compiled
+def find_nearest_object(plan: PlanTable, memory: WorldMemory, k: int, way: Way, motion: Motion, t: float) -> int:
+    """Return the object that a place is nearest to, by the distances that are kept to each, or NO_OBJECT."""
+    nearest, found = math.inf, NO_OBJECT
+    for j in range(len(plan.first)):
+        x, y, _, _ = predict_object(plan, memory, k, j, t)
+        reach = way.reach if j == way.o else plan.body[way.r].radius + plan.body[plan.robots + j].radius + way.aside
+        gap = math.hypot(motion[0] - x, motion[1] - y) - reach
+        if gap < nearest:
+            nearest, found = gap, j
+    return found
+
+
+@inlined
+def predict_object(plan: PlanTable, memory: WorldMemory, k: int, o: int, t: float) -> tuple[float, float, float, float]:
+    """Return where object o will be, and its velocity, with what its coming impact is to do [m], [m/s]."""
+    strike = memory.strike[k, o]
+    if t <= strike.time or not strike.is_solved:
+        return extrapolate_flight(memory, k, plan.robots + o, min(t, strike.time))
+    x, y, _, _ = extrapolate_flight(memory, k, plan.robots + o, strike.time)
+    vx, vy = strike.object_plus[0], strike.object_plus[1]
+    return x + (t - strike.time) * vx, y + (t - strike.time) * vy, vx, vy
+
+
+@compiled
+def measure_aside(plan: PlanTable, memory: WorldMemory, k: int, r: int, o: int, motion: Motion, t: float) -> float:
+    """Return the gap between robot r at a place and the nearest object but o, negative where they overlap [m]."""
+    gap = math.inf
+    for j in range(len(plan.first)):
+        if j != o:
+            x, y, _, _ = predict_object(plan, memory, k, j, t)
+            apart = math.hypot(motion[0] - x, motion[1] - y)
+            gap = min(gap, apart - plan.body[r].radius - plan.body[plan.robots + j].radius)
+    return gap
 
 
 @compiled
@@ -220,8 +267,9 @@ def move_clear(plan: PlanTable, r: int, x: float, y: float, margin: float) -> tu
 def measure_intrusion(
     plan: PlanTable, memory: WorldMemory, options: Options, k: int, way: Way, motion: Motion, t: float
 ) -> float:
-    """Return by how much a place is too near to a wall, a solid obstacle or what is hit later, negative: room [m]."""
+    """Return by how much a place is too near to a wall, a solid obstacle or an object, negative: room [m]."""
     intrusion = way.least - measure_gap(plan, way.r, motion[0], motion[1])
+    intrusion = max(intrusion, way.aside - measure_aside(plan, memory, k, way.r, way.o, motion, t))
     if way.o != NO_OBJECT:
         x, y, _, _ = extrapolate_flight(memory, k, plan.robots + way.o, t)
         apart = math.hypot(motion[0] - x, motion[1] - y)

@@ -28,11 +28,13 @@ class Via:
         share: of the flight's time.
         position: planned, shape (2,) [m].
         depth: how far it may be off [m].
+        closes: until when it has to be passed [s].
     """
 
     share: float
     position: np.ndarray
     depth: float
+    closes: float
 
 
 @dataclass(eq=False)
@@ -205,9 +207,11 @@ def _add_via(formula: Formula, curve: Curve, knots: list[Knot], owned: dict[Pred
             pass
         case _:
             return
-    if child not in owned or owned[child].kind != "stay":
+    parts = child.operands if isinstance(child, And) else (child,)
+    places = [part for part in parts if part in owned and owned[part].kind == "stay"]
+    if len(places) != 1:
         return
-    need = owned[child]
+    need = owned[places[0]]
     if any(_measure_at(child, knot, owned, knots) > 0.0 for knot in _list_knots_between(lower, upper, knots)):
         return
     best, found = ROUND_OFF, None
@@ -217,9 +221,13 @@ def _add_via(formula: Formula, curve: Curve, knots: list[Knot], owned: dict[Pred
             position = curve.position(time, "left")
             margin = float((need.bounds - need.faces @ position).min())
             if lower <= time <= upper and margin > best:
-                best, found = margin, (before, Via(i / LOOKS, position, margin))
-    if found is not None:
-        found[0].via = found[1]
+                best, found = margin, (before, time, Via(i / LOOKS, position, margin, float(upper)))
+    if found is None:
+        return
+    before, time, before.via = found
+    for part in parts:  # what has to hold from then on
+        if part is not places[0]:
+            _bind(part, time, time, knots, owned)
 
 
 def _measure_stay(formula: Formula) -> float:

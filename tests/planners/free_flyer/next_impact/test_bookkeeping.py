@@ -21,6 +21,7 @@ from planners.free_flyer.next_impact.bookkeeping import (
     learn_from_hits,
     remember_before,
     set_time,
+    start_strikes,
     take_misses,
 )
 from planners.free_flyer.next_impact.desired_velocity import (
@@ -242,6 +243,25 @@ def test_flight_into_a_closing_window_is_begun_fast_enough_for_a_weak_throw(
     np.testing.assert_allclose(loop.clock, [10, expected])
 
 
+@pytest.mark.parametrize(
+    ("closes", "expected"),
+    [
+        (22.0, 10 + TIMING.haste * 12 / 0.5),  # a throw that is weaker by a fifth is half-way at 22 s
+        (12.0, 10 + 1.0 / TIMING.fast / 0.5),  # no faster than that
+        (40.0, 31.0),  # nor later than planned
+    ],
+)
+def test_flight_through_a_place_that_has_to_be_passed_in_time_is_fast_enough_for_a_weak_throw(
+    closes: float, expected: float
+) -> None:
+    """The object is planned to be hit at 10 s and at 31 s, 2 m away; what is half-way has to be passed."""
+    scenario = make_scenario()
+    loop = Loop(scenario, make_plan(scenario, (10, "snap", "pop"), (31, "crackle", "pop")))
+    set_fields(loop.table.knot[0], via_share=0.5, via=(2.0, 0.0), via_closes=closes)
+    start_strikes(loop.table, loop.memory, OPTIONS, K, 0.0)
+    np.testing.assert_allclose(loop.clock, [10, expected])
+
+
 def test_missed_impact_is_tried_again_then_given_up(loop: Loop) -> None:
     now = 10.0
     for k in range(TIMING.retries):
@@ -317,6 +337,23 @@ def test_what_was_learned_waits_for_the_velocity_and_ends_with_the_next_contact(
     learn_from_hits(loop.table, loop.memory, OPTIONS, K, 15.0)
     assert np.hypot(*loop.hit[0]["observed"]) == pytest.approx(0.07 / 0.08)
     assert loop.gain(SNAP, 0) == learned
+
+
+def test_what_something_else_does_later_is_not_blamed_on_the_impact(loop: Loop) -> None:
+    """Another object runs into this one ten seconds after the hit: no robot feels it."""
+    set_fields(loop.strike[0], is_solved=True, change=0.09)
+    loop.see_at(10.0, POP, (0, 0), (0.0, 0.0))
+    remember_before(loop.table, loop.memory, K)
+    loop.feel(SNAP, 0.1)
+    loop.contact(SNAP, POP, 10.0)
+    loop.see_at(12.0, POP, (0, 0), (0.07, 0.0))
+    learn_from_hits(loop.table, loop.memory, OPTIONS, K, 12.0)
+    learned = loop.gain(SNAP, 0)
+    for now, speed in ((20.0, -0.1), (20.5, -0.1), (30.0, 0.07)):
+        loop.see_at(now, POP, (0, 0), (speed, 0.0))
+        learn_from_hits(loop.table, loop.memory, OPTIONS, K, now)
+        assert not loop.hit[0]["is_pending"]
+        assert loop.gain(SNAP, 0) == pytest.approx(learned, abs=1e-9)
 
 
 def test_drift_is_not_blamed_on_the_impact(loop: Loop) -> None:

@@ -19,7 +19,7 @@ from tests.planners.free_flyer.plans import K, World, load, make_plan, plan_impa
 
 OPTIONS = make_record(EXPERT)[0]
 OFF = make_record(replace(EXPERT, walls=False))[0]
-SNAP, POP = 0, 4
+SNAP, POP, PIP = 0, 4, 5
 RADIUS, MARGIN = 0.2, EXPERT.surroundings.margin
 Pair = tuple[float, float]
 
@@ -93,6 +93,22 @@ def test_course_passes_by_what_it_is_to_hit_from_the_other_side(side: float) -> 
     assert motions[-1, :4] == pytest.approx((2.9, 2.0, -0.1, 0.0), abs=1e-9)
 
 
+@pytest.mark.parametrize("side", [0.05, -0.05])
+def test_course_goes_round_an_object_that_it_does_not_end_at(side: float) -> None:
+    """Pip rests in the way to pop: the barrier would stop snap before it."""
+    crew = Crew((3.5, 2.0))
+    crew.see(POP, (3.5, 2.0))
+    crew.see(PIP, (2.3, 2.0 + side))
+    strike = crew.memory.strike[K, 0]
+    strike["time"], strike["contact"] = 40.0, (3.1, 2.0)
+    through = crew.approach((1.2, 2.0), (3.1, 2.0), (0.1, 0.0), 40.0)
+    assert np.hypot(*(through[:, :2] - (2.3, 2.0 + side)).T).min() < 0.3
+    go_round(crew.table, crew.memory, OPTIONS, K, SNAP, 0, 0.0, 120.0)
+    motions = crew.read(40.0)
+    assert np.hypot(*(motions[:, :2] - (2.3, 2.0 + side)).T).min() > 2.0 * RADIUS + EXPERT.surroundings.aside - 0.01
+    assert motions[-1, :4] == pytest.approx((3.1, 2.0, 0.1, 0.0), abs=1e-9)
+
+
 def test_impulse_is_turned_until_its_robot_is_in_no_wall() -> None:
     """Pop is 0.58 m off the wall, and straight behind it is no room for snap; 0.3 rad aside there is."""
     crew, change = Crew(), np.array([0.1, 0.0])
@@ -108,6 +124,8 @@ def test_impulse_is_turned_until_its_robot_is_in_no_wall() -> None:
 
 def test_clear_course_stays_bit_for_bit() -> None:
     crew = Crew()
+    for k, body in enumerate((POP, PIP, PIP + 1)):  # no object is in the way either
+        crew.see(body, (9.0, 7.0 + k))
     crew.approach((1.0, 2.0), (8.0, 2.5), (0.1, 0.05), 40.0)
     before = crew.course[SNAP].tobytes()
     crew.go_round()

@@ -311,12 +311,23 @@ def test_a_place_that_is_passed_between_knots_is_noted_where_it_is_passed_best()
     assert first.via.share == pytest.approx(0.25, abs=1 / 64)
     assert first.via.position == pytest.approx((1.25, 0.25), abs=5 / 64)
     assert first.via.depth == pytest.approx(0.25, abs=5 / 64)
+    assert first.via.closes == 100.0
     assert second.via is None
     assert end.via is None
     # In time only.
     assert all(knot.via is None for knot in knots_of(load("pong", "F[60,100] pop in C"), places))
     # A knot that serves it is bound instead.
     assert all(knot.via is None for knot in knots_of(load("pong", "F[0,100] pop in C"), PONG))
+
+
+def test_what_has_to_hold_after_a_place_that_is_passed_binds_the_knots_after_it() -> None:
+    places = [(10, 0.0, 0.25), (50, 2.5, 0.25), (100, 2.5, 0.25)]  # through C, from 1 to 1.5 m, to 2.5 m
+    order = load("pong", "F[0,40] (pop in C & F[0,50] pop.x >= 2)")
+    first, second, _ = knots_of(order, places)
+    assert first.via is not None
+    assert first.via.closes == 40.0
+    assert (-1, 0, -2) in faces(second)
+    assert not faces(first)
 
 
 def test_until_binds_the_knot_that_serves_it_and_what_has_to_hold_before() -> None:
