@@ -61,14 +61,14 @@ _LAZY = {
 _TITLES = {"pingpong": "PingPong"}
 # Raised when episodes change, by the id without its version; 0 where not listed. Frozen in tests/frozen.
 _VERSIONS = {
-    "Corridor": 2,
-    "CorridorResidual": 4,
-    "Crew": 3,
-    "CrewResidual": 4,
+    "Corridor": 3,
+    "CorridorResidual": 5,
+    "Crew": 4,
+    "CrewResidual": 5,
     "DualArmGrasp": 2,
     "DualArmGraspResidual": 2,
-    "Exchange": 2,
-    "ExchangeResidual": 4,
+    "Exchange": 3,
+    "ExchangeResidual": 5,
     "FloatingManipulator": 2,
     "FloatingManipulatorNearGoal": 2,
     "FloatingManipulatorNearGoalResidual": 3,
@@ -77,21 +77,21 @@ _VERSIONS = {
     "FloatingManipulatorResidual": 3,
     "FloatingManipulatorThrusters": 2,
     "FloatingManipulatorThrustersResidual": 3,
-    "ObstacleAvoidance": 2,
-    "ObstacleAvoidanceResidual": 4,
-    "PingPong": 2,
-    "PingPongResidual": 4,
-    "Pong": 2,
-    "PongResidual": 4,
-    "Relay": 2,
-    "RelayResidual": 4,
-    "ThrowAndCatch": 1,
-    "ThrowAndCatchResidual": 4,
+    "ObstacleAvoidance": 3,
+    "ObstacleAvoidanceResidual": 5,
+    "PingPong": 3,
+    "PingPongResidual": 5,
+    "Pong": 3,
+    "PongResidual": 5,
+    "Relay": 3,
+    "RelayResidual": 5,
+    "ThrowAndCatch": 2,
+    "ThrowAndCatchResidual": 5,
 }
 
 
 def gym_id(scenario: str, residual: bool = False) -> str:
-    """Return the Gymnasium id of a shipped scenario, for example ``impact_envs/ThrowAndCatch-v1``."""
+    """Return the Gymnasium id of a shipped scenario, for example ``impact_envs/ThrowAndCatch-v2``."""
     title = _TITLES.get(scenario) or "".join(word.capitalize() for word in scenario.split("_"))
     title += "Residual" if residual else ""
     return f"impact_envs/{title}-v{_VERSIONS.get(title, 0)}"

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import cos_sin, log
 from impact_envs.errors import InputError
 
 WORDS = 4  # of a stream, and of the pool that a seed is hashed into
@@ -127,9 +128,9 @@ def normal_pair(u1: float, u2: float) -> tuple[float, float]:
 
     Source: Box & Muller, *A Note on the Generation of Random Normal Deviates* (1958).
     """
-    r = math.sqrt(-2.0 * math.log(1.0 - u1))
-    angle = 2.0 * math.pi * u2
-    return r * math.cos(angle), r * math.sin(angle)
+    r = math.sqrt(-2.0 * log(1.0 - u1))
+    cos, sin = cos_sin(2.0 * math.pi * u2)
+    return r * cos, r * sin
 
 
 @compiled
@@ -141,8 +142,7 @@ def write_directions(angles: np.ndarray, directions: np.ndarray) -> None:
         directions: takes them, shape (n, 2).
     """
     for k in range(len(angles)):
-        directions[k, 0] = math.cos(angles[k])
-        directions[k, 1] = math.sin(angles[k])
+        directions[k, 0], directions[k, 1] = cos_sin(angles[k])
 
 
 @compiled

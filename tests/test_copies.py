@@ -174,7 +174,7 @@ def residual(name, checkpoint):
 DISTURBED |= {"corridor": "hard", "pong": "hard"}
 MAKERS = {
     **{f"ParallelEnv {name}": lambda name=name: Parallel(parallel_env(load(name))) for name in DISTURBED},
-    "JointEnv": lambda: Environment(gymnasium.make("impact_envs/ThrowAndCatch-v1")),
+    "JointEnv": lambda: Environment(gymnasium.make("impact_envs/ThrowAndCatch-v2")),
     "vector_env": lambda: Environment(vector_env(load("throw_and_catch"), 3, threads=2)),
     "vector_env nominal": lambda: Environment(vector_env("corridor", 2, autoreset_mode="SameStep", max_cycles=5)),
     "ImpactVecEnv": lambda: Learners(ImpactVecEnv(load("throw_and_catch"), 2)),

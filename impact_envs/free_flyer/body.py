@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from impact_envs.elementary import cos_sin
 from impact_envs.physics.convex import Disc, Face, Point, Polygon, compute_faces
 
 
@@ -79,7 +80,7 @@ class Body:
         x = self.x + (self.vx + 0.5 * self.ax * t) * t
         y = self.y + (self.vy + 0.5 * self.ay * t) * t
         if self.offset != (0.0, 0.0):
-            c, s = math.cos(heading), math.sin(heading)
+            c, s = cos_sin(heading)
             x -= c * self.offset[0] - s * self.offset[1]
             y -= s * self.offset[0] + c * self.offset[1]
         return x, y, heading
@@ -92,7 +93,7 @@ class Body:
         x, y, heading = self.centre(t)
         if self.vertices is None:
             return Disc(x, y, self.radius)
-        c, s = math.cos(heading), math.sin(heading)
+        c, s = cos_sin(heading)
         return Polygon(tuple((x + c * px - s * py, y + s * px + c * py) for px, py in self.vertices))
 
     def velocity_at(self, point: Point) -> Point:

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.elementary import cos_sin
 from impact_envs.free_flyer.contact.hits import resolve_impacts
 from impact_envs.free_flyer.contact.impulse import add_held_impulses
 from impact_envs.free_flyer.contact.pair import CONTACT_STEP, EVENTS, REST_GAP, SIMULTANEOUS
@@ -128,7 +129,7 @@ def turn_drift(x: float, y: float, rate: float, steps: int, period: float) -> tu
     if rate == 0.0:
         return x, y
     angle = rate * (steps + 0.5) * period
-    cos, sin = math.cos(angle), math.sin(angle)
+    cos, sin = cos_sin(angle)
     return cos * x - sin * y, sin * x + cos * y
 
 
@@ -162,7 +163,7 @@ def apply_command(arena: Arena, worlds: Worlds, scratch: Scratch, c: int, k: int
         tau -= worlds.body[k, i, OFFSET_X] * fy - worlds.body[k, i, OFFSET_Y] * fx
     alpha = tau / worlds.body[k, i, INERTIA]
     middle = worlds.state[k, i, 4] + (worlds.state[k, i, 5] + alpha * arena.period / 4) * arena.period / 2
-    cos, sin = math.cos(middle), math.sin(middle)
+    cos, sin = cos_sin(middle)
     scratch.motion[c, i, HELD] = (cos * fx - sin * fy) / worlds.body[k, i, MASS]
     scratch.motion[c, i, HELD + 1] = (sin * fx + cos * fy) / worlds.body[k, i, MASS]
     scratch.motion[c, i, HELD + 2] = alpha

@@ -1,7 +1,7 @@
 """Many worlds of one scenario on a GPU: the functions of ``step.py`` compiled for CUDA, one thread per world.
 
-Arithmetic is float64 without fused multiply-add, as on the CPU; what differs is CUDA's sin, cos, exp and log, in the
-last bit. Compiling takes about a minute, once per process, number of bodies and dtype.
+Arithmetic is float64 without fused multiply-add and elementary functions are our own, as on the CPU; what differs is
+CUDA's hypot, in the last bit. Compiling takes about a minute, once per process, number of bodies and dtype.
 """
 
 from __future__ import annotations

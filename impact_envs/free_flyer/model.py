@@ -13,6 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from impact_envs.elementary import cos_sin
 from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.body import Body, make_obstacle, make_walls
 from impact_envs.free_flyer.contact.deviation import compute_deviation, roll_dice
@@ -129,7 +130,7 @@ class FreeFlyerModel:
         """
         for body, row in zip(self._movable, states, strict=True):
             x, y, vx, vy, heading, omega = map(float, row)
-            c, s = math.cos(heading), math.sin(heading)
+            c, s = cos_sin(heading)
             rx, ry = c * body.offset[0] - s * body.offset[1], s * body.offset[0] + c * body.offset[1]
             body.x, body.y, body.heading = x + rx, y + ry, heading
             body.vx, body.vy, body.omega = vx - omega * ry, vy + omega * rx, omega
@@ -210,7 +211,7 @@ class FreeFlyerModel:
         period = self.scenario.control_period
         body.alpha = tau / body.inertia
         middle = body.heading + (body.omega + body.alpha * period / 4) * period / 2
-        c, s = math.cos(middle), math.sin(middle)
+        c, s = cos_sin(middle)
         body.ax, body.ay = (c * fx - s * fy) / body.mass, (s * fx + c * fy) / body.mass
 
     def _quantise_force(self, name: str, command: list[float], limit: float) -> list[float]:

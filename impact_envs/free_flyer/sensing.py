@@ -6,12 +6,12 @@ its first axis. Nothing has to be cleared between episodes: sample 0 starts anew
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.elementary import cos_sin
 from impact_envs.free_flyer.truth import DELAY, DROPOUT, Truth, largest
 from impact_envs.stream import normal_pair
 
@@ -260,8 +260,7 @@ def write_joint_observation(
         joint[k, at + Y] = measured[k, i, 1]
         joint[k, at + VX] = measured[k, i, 2]
         joint[k, at + VY] = measured[k, i, 3]
-        joint[k, at + COS] = math.cos(heading)
-        joint[k, at + SIN] = math.sin(heading)
+        joint[k, at + COS], joint[k, at + SIN] = cos_sin(heading)
         joint[k, at + OMEGA] = measured[k, i, 5]
     for r in range(robots):
         joint[k, find_contact_place(bodies, r)] = felt[k, r]

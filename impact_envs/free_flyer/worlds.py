@@ -8,13 +8,13 @@ the columns that `schema.py` names.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import cos_sin
 from impact_envs.errors import InputError
 from impact_envs.free_flyer.body import make_obstacle, make_walls
 from impact_envs.free_flyer.schema import FreeFlyerScenario
@@ -254,5 +254,5 @@ def find_offset(worlds: Worlds, k: int, i: int, heading: float) -> tuple[float, 
     ox, oy = worlds.body[k, i, OFFSET_X], worlds.body[k, i, OFFSET_Y]
     if ox == 0 and oy == 0:
         return 0.0, 0.0
-    cos, sin = math.cos(heading), math.sin(heading)
+    cos, sin = cos_sin(heading)
     return cos * ox - sin * oy, sin * ox + cos * oy

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import exp
 
 Point = tuple[float, float]
 # Gauss-Seidel on simultaneous contacts: last change, relative to the largest impulse, and the most sweeps.
@@ -95,7 +96,7 @@ def compute_restitution(speed: float, restitution: float, restitution_speed: flo
 
     Source: ours; restitution falls with impact speed, Stronge, *Impact Mechanics* (2000), ch. 6.
     """
-    return restitution * math.exp(-speed / restitution_speed) if restitution_speed > 0 else restitution
+    return restitution * exp(-speed / restitution_speed) if restitution_speed > 0 else restitution
 
 
 @compiled

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import cos_sin, log
 from impact_envs.errors import InputError, choices
 from impact_envs.free_flyer.engine import turn_drift
 from impact_envs.free_flyer.observation import join_observations
@@ -138,7 +139,7 @@ class Truth:
         for r in range(self._robots):
             for o in range(objects):
                 i = find_row(memory, r, o)
-                values = self._restitution[k], math.log(self._mass[k, self._robots + o] / self._mass[k, r])
+                values = self._restitution[k], log(self._mass[k, self._robots + o] / self._mass[k, r])
                 for part, place, value in zip(("restitution", "mass"), (i, i + 1), values, strict=True):
                     if part in self._parts:
                         memory.pair_mean[k, :, place] = value
@@ -152,7 +153,7 @@ class Truth:
             i = self._robots + o
             z, body, told = memory.filter[k, i], plan.body[i], self.told[k, o]
             if "offset" in self._parts:
-                cos, sin, rate = math.cos(body["heading"]), math.sin(body["heading"]), body["start_rate"]
+                (cos, sin), rate = cos_sin(body["heading"]), body["start_rate"]
                 dx, dy = told["offset"]
                 x, y = cos * dx - sin * dy, sin * dx + cos * dy
                 z["position"], z["velocity"] = body["start"], body["start_velocity"] + (-rate * y, rate * x)

@@ -193,7 +193,7 @@ def test_episodes_without_a_seed_are_a_reproducible_chain_of_training_seeds(shor
 
 def test_passes_the_checkers_of_gymnasium_and_sb3(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    env = gymnasium.make("impact_envs/ThrowAndCatchResidual-v4", render_mode="rgb_array").unwrapped
+    env = gymnasium.make("impact_envs/ThrowAndCatchResidual-v5", render_mode="rgb_array").unwrapped
     check_env(env)
     check_env_sb3(env, warn=True, skip_render_check=False)
     frame = env.render()

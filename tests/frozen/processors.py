@@ -15,8 +15,11 @@ import numpy as np
 
 from tests.frozen.freeze import Case, label, play
 
-# One scenario of each domain whose episodes are the same on all processors, in suites that draw everything.
+# One scenario of each domain, in suites that draw everything.
 CASES: list[Case] = [
+    ("throw_and_catch", "hard", "expert", 1),
+    ("throw_and_catch", "hard_v0", "random", 1),
+    ("throw_and_catch", "all", "paper_expert", 2),
     ("dual_arm_grasp", "all", "expert", 1),
     ("dual_arm_grasp", "hard", "random", 1),
     ("floating_manipulator_thrusters", "hard", "expert", 1),

@@ -54,7 +54,7 @@ def test_effort_is_the_propulsion_spent():
 
 
 def test_joint_env_is_the_parallel_env_seen_as_one():
-    joint = gymnasium.make("impact_envs/ThrowAndCatch-v1")
+    joint = gymnasium.make("impact_envs/ThrowAndCatch-v2")
     parallel = parallel_env("throw_and_catch")
     vector, _ = joint.reset(seed=4)
     observations, _ = parallel.reset(seed=4)

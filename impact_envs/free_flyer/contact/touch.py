@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import cos_sin
 from impact_envs.free_flyer.contact.pair import CONTACT_STEP, SINK
 from impact_envs.free_flyer.truth import OFFSET_X, OFFSET_Y
 from impact_envs.free_flyer.worlds import ACCELERATION, RADIUS, Arena, Scratch, Worlds
@@ -23,7 +24,7 @@ def find_centre(worlds: Worlds, scratch: Scratch, c: int, k: int, i: int, t: flo
     y = state[k, i, 1] + (state[k, i, 3] + 0.5 * motion[c, i, ACCELERATION + 1] * t) * t
     if worlds.body.shape[2] > OFFSET_X:
         heading = state[k, i, 4] + (state[k, i, 5] + 0.5 * motion[c, i, ACCELERATION + 2] * t) * t
-        cos, sin = math.cos(heading), math.sin(heading)
+        cos, sin = cos_sin(heading)
         ox, oy = worlds.body[k, i, OFFSET_X], worlds.body[k, i, OFFSET_Y]
         x -= cos * ox - sin * oy
         y -= sin * ox + cos * oy
@@ -153,7 +154,8 @@ def find_centre_motion(
     """Return where the centre is, seen from the centre of mass, and its velocity, after a flight of t."""
     omega, alpha = worlds.state[k, i, 5], scratch.motion[c, i, ACCELERATION + 2]
     heading = worlds.state[k, i, 4] + (omega + 0.5 * alpha * t) * t
-    cos, sin, rate = math.cos(heading), math.sin(heading), omega + alpha * t
+    cos, sin = cos_sin(heading)
+    rate = omega + alpha * t
     rx = sin * worlds.body[k, i, OFFSET_Y] - cos * worlds.body[k, i, OFFSET_X]
     ry = -sin * worlds.body[k, i, OFFSET_X] - cos * worlds.body[k, i, OFFSET_Y]
     return rx, ry, -rate * ry, rate * rx

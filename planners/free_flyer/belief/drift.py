@@ -16,6 +16,7 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.elementary import exp
 from planners.free_flyer.belief.options import Options
 
 
@@ -27,7 +28,7 @@ def weigh_drift(z: np.record, options: Options) -> None:
     if z.P_aa > 0.0 and share > 0.0:
         s = options.estimation.drift
         size = z.drift[0] * z.drift[0] + z.drift[1] * z.drift[1]
-        likelihood = math.exp(-size / (2.0 * z.P_aa))
+        likelihood = exp(-size / (2.0 * z.P_aa))
         odds = share * s * s / z.P_aa * likelihood if likelihood > 0.0 else 0.0
         z.still = odds / (odds + 1.0 - share) if odds < math.inf else 1.0
 

@@ -17,6 +17,7 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.elementary import exp, log
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.world_memory import NOBODY, WorldMemory
@@ -41,7 +42,7 @@ def start_pairs(plan: PlanTable, memory: WorldMemory, options: Options, k: int) 
         r, o, mass = i // 2 // objects, i // 2 % objects, i % 2 == 1
         ratio = plan.body[plan.robots + o].mass / plan.body[r].mass
         for version in (NOW, KNOWN):
-            memory.pair_mean[k, version, i] = math.log(ratio) if mass else plan.restitution
+            memory.pair_mean[k, version, i] = log(ratio) if mass else plan.restitution
         for j in range(size):
             same = j // 2 % objects == o
             if i % 2 != j % 2 or (mass and not same):
@@ -65,7 +66,7 @@ def get_pair(memory: WorldMemory, k: int, r: int, o: int) -> tuple[float, float]
     """Return the estimated restitution, in [0, 1], and mass ratio of robot r and object o."""
     i = find_row(memory, r, o)
     mean = memory.pair_mean[k, NOW]
-    return min(max(mean[i], 0.0), 1.0), math.exp(mean[i + 1])
+    return min(max(mean[i], 0.0), 1.0), exp(mean[i + 1])
 
 
 @compiled
@@ -198,7 +199,7 @@ def learn_hit(memory: WorldMemory, options: Options, k: int, version: int, o: in
     e, b, o_e, o_b, r_e, r_b = e_0, b_0, 0.0, 0.0, 0.0, 0.0
     oo, rr, cross, w_o, w_r = 1.0, 1.0, 0.0, 0.0, 0.0
     for _ in range(options.impact_parameters.iterations):
-        mu = math.exp(b)
+        mu = exp(b)
         alpha = (1.0 + e) / (unmoved + mu)
         # Derivatives of the changes of object and robot by e and log mu.
         o_e, o_b = s / (unmoved + mu), -s * alpha * mu / (unmoved + mu)

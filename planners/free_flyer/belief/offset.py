@@ -13,11 +13,10 @@ alike in all directions stay so, and one Hermitian covariance over these four se
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.elementary import cos_sin
 from planners.free_flyer.belief.world_memory import WorldMemory
 
 LEAST = 1e-18  # variance of an offset that is known: a nanometre squared [m^2]; 0 says that there is none
@@ -26,7 +25,8 @@ LEAST = 1e-18  # variance of an offset that is known: a nanometre squared [m^2];
 @inlined
 def compute_direction(angle: float) -> complex:
     """Return exp(i angle)."""
-    return complex(math.cos(angle), math.sin(angle))
+    cos, sin = cos_sin(angle)
+    return complex(cos, sin)
 
 
 @inlined

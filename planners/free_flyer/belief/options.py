@@ -274,7 +274,7 @@ class Reoptimisation:
     notice: float = 4.0  # from now to the next impact [s]
     gap: float = 4.0  # between impacts of one object [s]
     share: Share = 0.6  # of an object's greatest speed that legs may need
-    widest: float = math.tan(math.pi / 3)  # tangent of the half-angle of the cone round the normal that legs fill
+    widest: float = math.sqrt(3.0)  # tangent of the half-angle of the cone round the normal that legs fill
     shortest_way: float = 0.05  # of a robot, for the linearisation of its time [m]
     shortest_leg: float = 0.05  # of an object, that has a direction [m]
     inset: float = 0.25  # from both ends of a window [s]

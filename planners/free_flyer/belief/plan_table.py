@@ -245,7 +245,9 @@ def _make_knots(knots: list[Knot], begin: float) -> tuple[np.ndarray, np.ndarray
     table, face = np.zeros(len(knots), KNOT), np.zeros((len(knots), max(most, 1)), HALF_PLANE)
     for row, faces, knot in zip(table, face, knots, strict=True):
         _write_half_planes(faces, knot.faces)
-        margins = [plane["offset"] - plane["normal"] @ knot.position for plane in faces[: len(knot.faces)]]
+        x, y = knot.position
+        known = faces[: len(knot.faces)]
+        margins = [plane["offset"] - (plane["normal"][0] * x + plane["normal"][1] * y) for plane in known]
         row["position"], row["depth"], row["faces"] = knot.position, min(margins, default=np.inf), len(knot.faces)
         row["opens"], row["closes"] = (begin + time for time in knot.window)
         row["stay"] = knot.stay

@@ -28,6 +28,7 @@ import math
 import numpy as np
 
 from impact_envs.compiled import inlined
+from impact_envs.elementary import atan2, cos_sin
 from impact_envs.free_flyer.sensing import BODY_SIZE, COS, OMEGA, SIN, TIME, VX, VY, X, Y, find_shared_place
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.plan_table import PlanTable
@@ -55,7 +56,7 @@ def open_tracks(plan: PlanTable, memory: WorldMemory, k: int) -> None:
         track, body = memory.track[k, i], plan.body[i]
         track.reading[X], track.reading[Y] = body.start[0], body.start[1]
         track.reading[VX], track.reading[VY] = body.start_velocity[0], body.start_velocity[1]
-        track.reading[COS], track.reading[SIN] = math.cos(body.heading), math.sin(body.heading)
+        track.reading[COS], track.reading[SIN] = cos_sin(body.heading)
         track.reading[OMEGA] = 0.0
         track.time, track.since, track.doubted = -plan.period, math.inf, -math.inf
         track.changes, track.use = False, EXPECTED
@@ -135,7 +136,7 @@ def judge_reading(
             memory.counts[k].rejected += 1
     cos, sin = joint[k, at + COS], joint[k, at + SIN]
     # The angle read is only known up to whole turns.
-    turn = math.atan2(sin, cos) - plan.body[i].heading
+    turn = atan2(sin, cos) - plan.body[i].heading
     turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
     track.angle = plan.body[i].heading + turn
     turn = track.angle - memory.heading[k, i].angle

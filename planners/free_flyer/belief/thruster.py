@@ -19,11 +19,10 @@ that is hardly known to differ from 1 the positive part of James and Stein's est
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.elementary import cos_sin
 from planners.free_flyer.belief.options import Options
 from planners.free_flyer.belief.world_memory import WorldMemory
 
@@ -108,7 +107,7 @@ def learn_thrust(
     push = thrust.push_twice
     if max(max(push[0], -push[1]), max(push[2], -push[3])) < options.thruster.least:
         return
-    cos, sin = math.cos(heading), math.sin(heading)
+    cos, sin = cos_sin(heading)
     noise = options.thruster.position_floor + sigma
     noise = noise * noise / (tau * tau * tau * tau)
     for axis, seen in ((0, cos * ax + sin * ay), (1, cos * ay - sin * ax)):

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.elementary import cos_sin
 from impact_envs.physics.impact import compute_velocity_gain
 from planners.free_flyer.belief.estimator import compute_variance, extrapolate_flight
 from planners.free_flyer.belief.impact_parameters import compute_gain_spread, compute_pair_gain
@@ -77,7 +78,8 @@ def write_features(
     dx, dy = striker.velocity[0] - z.velocity[0], striker.velocity[1] - z.velocity[1]
     turn_in(row, at + 14, cos, sin, dx, dy)
     angle = heading.angle + (time - now) * heading.rate
-    turn_in(row, at + 16, cos, sin, math.cos(angle), math.sin(angle))
+    ahead_x, ahead_y = cos_sin(angle)
+    turn_in(row, at + 16, cos, sin, ahead_x, ahead_y)
     row[at + 18] = heading.rate
     dx, dy, _, _ = extrapolate_swing(memory, k, body, time)
     turn_in(row, at + 19, cos, sin, dx, dy)

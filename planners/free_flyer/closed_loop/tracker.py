@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from impact_envs.compiled import inlined
+from impact_envs.elementary import cos_sin
 from planners.free_flyer.belief.options import BY_LQR, BY_MPC, Options
 from planners.free_flyer.belief.plan_table import PlanTable
 from planners.free_flyer.belief.thruster import find_thruster
@@ -88,7 +89,7 @@ def apply_solution(
         shifted.count = max(left - 1, 0)
     if left == 0:
         feed_back(plan, memory, workspace, c, k, r, actions)
-    g, cos, sin = pilot[GAIN], math.cos(heading), math.sin(heading)
+    g, (cos, sin) = pilot[GAIN], cos_sin(heading)
     ax = g * (cos * actions[k, r, 0] - sin * actions[k, r, 1])
     ay = g * (sin * actions[k, r, 0] + cos * actions[k, r, 1])
     striking = o != NO_OBJECT and memory.course[k, r].ends_in_impact
@@ -108,7 +109,7 @@ def apply_solution(
             memory.counts[k].no_action += 1
         actions[k, r, i] = min(max(share, -1.0), 1.0)
     middle = heading + rate * h / 2
-    cos, sin = math.cos(middle), math.sin(middle)
+    cos, sin = cos_sin(middle)
     thrust = memory.thrust[k, r]
     fx, fy = actions[k, r, 0] * pilot[INPUT_LIMIT], actions[k, r, 1] * pilot[INPUT_LIMIT + 1]
     thrust.command[0], thrust.command[1] = fx * pilot[GAIN], fy * pilot[GAIN]
@@ -160,7 +161,7 @@ def fill_reference(plan: PlanTable, memory: WorldMemory, workspace: Workspace, c
         jump[0], jump[1], jump[2] = strike.normal[0], strike.normal[1], gain
         jump[3] = strike.normal[0] * strike.object_minus[0] + strike.normal[1] * strike.object_minus[1]
     workspace.node[c] = node
-    cos, sin = math.cos(heading), math.sin(heading)
+    cos, sin = cos_sin(heading)
     curves = memory.flown[k] if len(plan.response) > 0 else plan.coefficients
     before = STAGES + 1 if node == NO_JUMP else node + 1
     sample_course(memory.course[k, r], plan.breaks, curves, r, now, durations, before, states)

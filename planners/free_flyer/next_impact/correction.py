@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.elementary import cos_sin, exp
 from planners.free_flyer.belief.drift import find_drift
 from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.options import Options
@@ -33,8 +34,8 @@ def correct_change(options: Options, scale: float, turn: float, dx: float, dy: f
         scale, turn: correction, in [-1, 1].
         dx, dy: as the expert wishes it [m/s].
     """
-    size, angle = math.exp(options.correction.scale * scale), options.correction.turn * turn
-    cos, sin = math.cos(angle), math.sin(angle)
+    size, angle = exp(options.correction.scale * scale), options.correction.turn * turn
+    cos, sin = cos_sin(angle)
     return size * (cos * dx - sin * dy), size * (sin * dx + cos * dy)
 
 

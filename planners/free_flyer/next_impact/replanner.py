@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import cos_sin
 from planners.free_flyer.belief.estimator import extrapolate_flight
 from planners.free_flyer.belief.impact_parameters import get_pair
 from planners.free_flyer.belief.offset import compute_lever, extrapolate_swing
@@ -306,7 +307,7 @@ def turn_to_centre(
     body = plan.robots + o
     size, best, distance = math.hypot(dx, dy), -1.0, plan.body[body].radius
     heading = memory.heading[k, body].angle + ahead * memory.heading[k, body].rate
-    cos, sin, nx, ny = math.cos(heading), math.sin(heading), 0.0, 0.0
+    (cos, sin), nx, ny = cos_sin(heading), 0.0, 0.0
     for i in range(plan.side.shape[1]):
         side = plan.side[o, i]
         ux, uy, far = side.direction[0], side.direction[1], side.distance
@@ -341,9 +342,9 @@ def turn_off_walls(
     if measure_gap(plan, r, x - ux, y - uy) >= 0.0 or measure_gap(plan, body, x, y) < 0.0:
         return dx, dy
     for i in range(options.surroundings.turns):
-        cos = math.cos((i + 1) * options.surroundings.turn)
+        cos, across = cos_sin((i + 1) * options.surroundings.turn)
         for side in range(2):
-            sin = (1.0 - 2.0 * side) * math.sin((i + 1) * options.surroundings.turn)
+            sin = (1.0 - 2.0 * side) * across
             wx, wy = cos * ux - sin * uy, sin * ux + cos * uy
             if measure_gap(plan, r, x - wx, y - wy) >= 0.0:
                 return cos * size / reach * wx, cos * size / reach * wy

@@ -10,6 +10,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import atan2, cos_sin
 from impact_envs.physics.impact import compute_velocity_gain
 
 Pair = tuple[float, float]
@@ -192,8 +193,9 @@ def solve_soft_two_body_impact(
     yy = robot_weight * gy * gy - by * by / D
     normal = default_normal
     if xx != 0.0 or xy != 0.0 or yy != 0.0:
-        larger = math.atan2(2.0 * xy, xx - yy) / 2.0
-        normal = (-math.sin(larger), math.cos(larger))
+        larger = atan2(2.0 * xy, xx - yy) / 2.0
+        cos, sin = cos_sin(larger)
+        normal = (-sin, cos)
     approach = (bx * normal[0] + by * normal[1]) / D
     if approach < 0.0:
         normal, approach = (-normal[0], -normal[1]), -approach

@@ -6,11 +6,10 @@ force turns the robot and no torque moves it, so the Hessian has a block of forc
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.elementary import cos_sin
 from planners.free_flyer.tracking.problem import EFFORT, NEAR_WEIGHT, NO_JUMP, STAGES, WEIGHT
 
 UNKNOWNS, FORCES = 3 * STAGES, 2 * STAGES
@@ -56,7 +55,7 @@ def condense(
             H[i, j] = 0.0
     for component in range(6):
         Z[component, UNKNOWNS] = state[component]
-    cos, sin = math.cos(state[2]), math.sin(state[2])
+    cos, sin = cos_sin(state[2])
     for k in range(STAGES):
         h = durations[k]
         if k == jump_node and k > 0:

@@ -12,7 +12,6 @@ The model, the cost and the limits are those of `mpc`, one line each. A tracker 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,6 +19,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
+from impact_envs.elementary import cos_sin
 from impact_envs.errors import InputError
 from planners.errors import SolverFailed
 from planners.free_flyer.tracking.problem import STAGES, TrackingProblem, TrackingTask, make_matrices
@@ -89,7 +89,7 @@ def compute_stage(problem: TrackingProblem, task: TrackingTask, k: int) -> tuple
 
     Source: Verhagen & Tumova, Eq. 6, solved for the robot.
     """
-    h, cos, sin = task.durations[k], math.cos(task.state[2]), math.sin(task.state[2])
+    h, (cos, sin) = task.durations[k], cos_sin(task.state[2])
     push = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) * problem.gains
     flow, c = np.eye(6), np.zeros(6)
     flow[:3, 3:] = h * np.eye(3)

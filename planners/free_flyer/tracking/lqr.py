@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from impact_envs.compiled import compiled
+from impact_envs.elementary import cos_sin
 from planners.free_flyer.tracking.problem import FEEDBACK, GAIN
 
 
@@ -26,7 +25,7 @@ def solve_lqr(
     g, heading = pilot[GAIN], state[2]
     ax -= g * (pilot[FEEDBACK] * (state[0] - reference[0]) + pilot[FEEDBACK + 1] * (state[3] - reference[3]))
     ay -= g * (pilot[FEEDBACK + 2] * (state[1] - reference[1]) + pilot[FEEDBACK + 3] * (state[4] - reference[4]))
-    cos, sin = math.cos(heading), math.sin(heading)
+    cos, sin = cos_sin(heading)
     inputs[0] = (cos * ax + sin * ay) / g
     inputs[1] = (cos * ay - sin * ax) / g
     turn = heading - reference[2]

@@ -6,12 +6,12 @@ heading held over the horizon the dynamics are linear and the whole problem cond
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from impact_envs.compiled import compiled, inlined
+from impact_envs.elementary import cos_sin
 from planners.free_flyer.tracking.box_qp import NEWTON_STEPS, NOT_SOLVED, VECTORS, solve_box_qp
 from planners.free_flyer.tracking.condensing import FORCES, UNKNOWNS, condense, find_unknown
 from planners.free_flyer.tracking.problem import (
@@ -171,7 +171,7 @@ def solve_freely(workspace: Workspace, c: int, pilot: np.ndarray) -> bool:
     """
     state, states, inputs = workspace.state[c], workspace.states[c], workspace.inputs[c]
     feed, along, solution = workspace.Z[c, :3], workspace.Z[c, 3:], workspace.solution[c]
-    cos, sin, h = math.cos(state[2]), math.sin(state[2]), workspace.durations[c, 0]
+    (cos, sin), h = cos_sin(state[2]), workspace.durations[c, 0]
     x, y, turn = read_axis(pilot, 0, h), read_axis(pilot, 1, h), read_axis(pilot, 2, h)
     qx, wx, qy, wy, qt, wt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(STAGES - 1, -1, -1):

@@ -10,7 +10,6 @@ from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from planners.options import Positive
 
@@ -21,6 +20,10 @@ NO_JUMP = 0
 # at the end; effort; feedback (position, velocity) of each axis; weights with an impact in the horizon; 1 if the weight
 # of the end is the cost of going on for ever, 0 otherwise.
 GAIN, INPUT_LIMIT, WEIGHT, EFFORT, FEEDBACK, NEAR_WEIGHT, ENDLESS = 0, 3, 6, 24, 27, 33, 51
+
+
+DOUBLINGS = 60  # of the horizon, at most: of a Riccati equation that is followed to the end
+Matrix = tuple[tuple[float, float], tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -137,26 +140,61 @@ def _weigh(
     table[0, :, 0], table[0, :, 2] = (position, position, weights.heading), (velocity, velocity, weights.rate)
     table[1] = weights.terminal * table[0]
     for axis, effort in enumerate((weights.force, weights.force, weights.torque)):
-        position_weight, velocity_weight = table[0, axis, ::2].tolist()
-        P, feedback[axis] = _solve_axis(position_weight, velocity_weight, effort, float(gains[axis]), period)
+        gain = float(gains[axis])
+        moved, pushed = gain * period * period / 2.0, gain * period  # what a unit of input does to place and velocity
+        pp, pv, vv = solve_riccati(period, (moved, pushed), (float(table[0, axis, 0]), float(table[0, axis, 2])), effort)
         if weights.terminal == 0.0:
-            table[1, axis] = P[0, 0], P[0, 1], P[1, 1]
+            table[1, axis] = pp, pv, vv
+        place, speed = moved * pp + pushed * pv, moved * pv + pushed * vv
+        total = effort + moved * place + pushed * speed
+        feedback[axis] = place / total, (place * period + speed) / total
     return table, feedback
 
 
 @lru_cache(256)  # robots are alike, and an evaluation makes their experts again and again
-def _solve_axis(
-    position: float, velocity: float, effort: float, gain: float, period: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the cost of going on for ever along one axis, shape (2, 2), and its LQR gain, shape (2,)."""
-    A = np.array([[1.0, period], [0.0, 1.0]])
-    B = gain * np.array([[period**2 / 2], [period]])
-    R = np.array([[effort]])
-    P = solve_discrete_are(A, B, np.diag([position, velocity]), R)
-    feedback = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)[0]
-    for kept in (P, feedback):
-        kept.setflags(write=False)
-    return P, feedback
+def solve_riccati(
+    period: float, B: tuple[float, float], weights: tuple[float, float], effort: float
+) -> tuple[float, float, float]:
+    """Solve P = Q + A' P (1 + B B' P / r)^-1 A with A = (1, T; 0, 1) by doubling the horizon until P stays as it is.
+
+    Plain sums and products, unlike LAPACK's the same on every processor.
+
+    Args:
+        period: T [s].
+        B: what a unit of input does to place and velocity.
+        weights: diagonal of Q, on place and velocity, positive.
+        effort: r, on the input, positive.
+
+    Returns:
+        P_11, P_12 and P_22.
+
+    Source: Chu, Fan, Lin & Wang, *Structure-Preserving Algorithms for Periodic Discrete-Time Algebraic Riccati
+        Equations*, Int. J. Control 77 (2004).
+    """
+    A = ((1.0, period), (0.0, 1.0))
+    G = ((B[0] * B[0] / effort, B[0] * B[1] / effort), (B[0] * B[1] / effort, B[1] * B[1] / effort))
+    P = ((weights[0], 0.0), (0.0, weights[1]))
+    for _ in range(DOUBLINGS):
+        (w11, w12), (w21, w22) = multiply(G, P)
+        w11, w22 = 1.0 + w11, 1.0 + w22
+        d = w11 * w22 - w12 * w21
+        inverse = ((w22 / d, -w12 / d), (-w21 / d, w11 / d))
+        turned, step = ((A[0][0], A[1][0]), (A[0][1], A[1][1])), multiply(inverse, A)
+        (p11, p12), (_, p22) = multiply(turned, multiply(P, step))
+        (g11, g12), (_, g22) = multiply(A, multiply(multiply(inverse, G), turned))
+        last, A = P, multiply(A, step)
+        P = ((P[0][0] + p11, P[0][1] + p12), (P[0][1] + p12, P[1][1] + p22))
+        G = ((G[0][0] + g11, G[0][1] + g12), (G[0][1] + g12, G[1][1] + g22))
+        if last == P:
+            break
+    return P[0][0], P[0][1], P[1][1]
+
+
+def multiply(a: Matrix, b: Matrix) -> Matrix:
+    """Return the product of two matrices of two rows and columns."""
+    (a11, a12), (a21, a22) = a
+    (b11, b12), (b21, b22) = b
+    return (a11 * b11 + a12 * b21, a11 * b12 + a12 * b22), (a21 * b11 + a22 * b21, a21 * b12 + a22 * b22)
 
 
 def make_matrices(weights: np.ndarray) -> np.ndarray:
