@@ -142,7 +142,8 @@ def _weigh(
     for axis, effort in enumerate((weights.force, weights.force, weights.torque)):
         gain = float(gains[axis])
         moved, pushed = gain * period * period / 2.0, gain * period  # what a unit of input does to place and velocity
-        pp, pv, vv = solve_riccati(period, (moved, pushed), (float(table[0, axis, 0]), float(table[0, axis, 2])), effort)
+        now = float(table[0, axis, 0]), float(table[0, axis, 2])
+        pp, pv, vv = solve_riccati(period, (moved, pushed), now, effort)
         if weights.terminal == 0.0:
             table[1, axis] = pp, pv, vv
         place, speed = moved * pp + pushed * pv, moved * pv + pushed * vv
