@@ -98,13 +98,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from train.cli.printing import show
 
             show(result)
-    except BrokenPipeError:  # who read it has read enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:
+        _stop_printing()
     if result.get("interrupted"):
         return 130
     # A plan that was checked and refused; one that was forced is flown.
     refused = getattr(command, "check", None) is not None and result["accepted"] is False
     return int(refused or result.get("confirmed") is False)
+
+
+def _stop_printing() -> None:
+    """Let what is still printed go nowhere: who reads standard output has read enough."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _parse(arguments: list[str]) -> Command:
@@ -125,6 +130,9 @@ def _parse(arguments: list[str]) -> Command:
     except SystemExit as error:
         if not error.code:
             raise
+    except BrokenPipeError:  # of help
+        _stop_printing()
+        raise SystemExit from None
     raise InputError(_one_line(said.getvalue())) from None
 
 

@@ -225,3 +225,11 @@ def test_the_command_is_installed():
     said = subprocess.run([sys.executable, "-m", "train.cli.main", "list", "--json"], capture_output=True, text=True)
     assert said.returncode == 0
     assert len(json.loads(said.stdout)["scenarios"]) == len(list_scenarios())
+
+
+def test_help_ends_quietly_when_its_reader_has_read_enough():
+    command = [sys.executable, "-m", "train.cli.main", "evaluate", "--help"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()  # before anything is printed
+        assert (process.stderr.read(), process.wait()) == ("", 0)
