@@ -9,15 +9,16 @@ export PYTHONUNBUFFERED := 1
 demo: $(READY)
 	$(BIN)/impact demo
 
+# worksteal: tests that are neighbours share fixtures and compiled code, and mostly stay in one worker.
 test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -n 2 -m "not slow"
+	$(BIN)/pytest -n 2 --dist worksteal -m "not slow"
 
 test-slow: $(READY)
-	$(BIN)/pytest -n 2 -m slow
+	$(BIN)/pytest -n 2 --dist worksteal -m slow
 
 # The same bytes from the same commit, wherever it is built.
 wheel: $(READY)

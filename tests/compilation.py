@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from agents import ResidualVectorEnv
+from agents.dual_arm.decision_loop import run_until_due as decide_for_arms
+from agents.floating_manipulator.decision_loop import run_until_due as decide_for_manipulators
 from agents.free_flyer.decision_loop import run_until_due
 from impact_envs import parallel_env, rollout, vector_env
 from impact_envs.compiled import is_compiled
@@ -46,25 +48,34 @@ def compile_vector_environment() -> None:
 
 
 def compile_engine_and_arms() -> None:
-    """Fly for one period, and grasp for one."""
+    """Fly for one period; grasp for one, start one world of many, and decide once."""
     env = parallel_env("throw_and_catch", max_cycles=1)
     rollout(env, ZeroPolicy(env), 0)
-    rollout(parallel_env("dual_arm_grasp", max_cycles=1), make_expert("dual_arm_grasp"), 0)
+    compile_domain("dual_arm_grasp")
 
 
 def compile_manipulators() -> None:
-    """Reach for one period, and start one world of many."""
+    """Reach for one period, start one world of many, also with an observation for each robot, and decide once."""
+    from agents.vec_env import ImpactVecEnv  # imported here: it brings torch
+
     name = "floating_manipulator_thrusters"
-    vector_env(name, 1, threads=1).reset(seed=0)
+    compile_domain(name)
+    ImpactVecEnv(name, 1, per_robot=True, max_cycles=1, dtype="float64", threads=1).reset()
+
+
+def compile_domain(name: str) -> None:
+    """Call what plays a scenario of one world and of many, and what decides in many."""
     rollout(parallel_env(name, max_cycles=1), make_expert(name), 0)
+    vector_env(name, 1, threads=1).reset(seed=0)
+    ResidualVectorEnv(name, 1, max_cycles=1, threads=1).reset(seed=0)
 
 
 # Name to what compiles, and the functions that tell whether it has; the longest first.
 JOBS: dict[str, tuple[Callable[[], None], tuple[Callable[..., object], ...]]] = {
     "free-flyers' expert": (compile_free_flyers_expert, (run_experts, run_until_due)),
     "vector environment": (compile_vector_environment, (run_tuples,)),
-    "engine and arms": (compile_engine_and_arms, (step_alone, advance_arms, run_arms_experts)),
-    "manipulators": (compile_manipulators, (advance_manipulator, run_manipulators)),
+    "engine and arms": (compile_engine_and_arms, (step_alone, advance_arms, run_arms_experts, decide_for_arms)),
+    "manipulators": (compile_manipulators, (advance_manipulator, run_manipulators, decide_for_manipulators)),
 }
 
 

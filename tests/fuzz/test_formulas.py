@@ -110,7 +110,7 @@ def test_environments_and_planners_take_the_deepest_formulas(kind):
     copy.deepcopy(scenario)
     pickle.loads(pickle.dumps(scenario))
     with answered():
-        run_in_thread(lambda: make_plan(scenario, time_limit=2.0))
+        run_in_thread(lambda: make_plan(scenario, time_limit=1.0))
 
 
 @pytest.mark.parametrize("text", ["F[0,0] " * DEEPEST, "!" * DEEPEST, "!" * 50_000, "pop in goal -> " * DEEPEST])

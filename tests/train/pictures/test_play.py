@@ -95,7 +95,7 @@ def test_bad_arguments_are_one_line(arguments, says, capsys):
     assert says in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("speed", "frames"), [(6.0, 151), (30.0, 31)])
+@pytest.mark.parametrize(("speed", "frames"), [(15.0, 61), (30.0, 31)])
 def test_a_film_is_as_long_as_its_speed_says(tmp_path, speed, frames):
     env, pilot = make_pilot()
     path = tmp_path / "film.mp4"
