@@ -73,9 +73,9 @@ def compile_domain(name: str) -> None:
 # Name to what compiles, and the functions that tell whether it has; the longest first.
 JOBS: dict[str, tuple[Callable[[], None], tuple[Callable[..., object], ...]]] = {
     "free-flyers' expert": (compile_free_flyers_expert, (run_experts, run_until_due)),
+    "manipulators": (compile_manipulators, (advance_manipulator, run_manipulators, decide_for_manipulators)),
     "vector environment": (compile_vector_environment, (run_tuples,)),
     "engine and arms": (compile_engine_and_arms, (step_alone, advance_arms, run_arms_experts, decide_for_arms)),
-    "manipulators": (compile_manipulators, (advance_manipulator, run_manipulators, decide_for_manipulators)),
 }
 
 

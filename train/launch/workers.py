@@ -144,11 +144,12 @@ def _serve(parent: Connection, start: Callable[[], Callable[[Job], Any]]) -> Non
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
     do = None
-    while (job := parent.recv()) is not None:
-        try:
-            do = do or start()
-            answer: tuple[Any, Exception | None] = (do(job), None)
-        except Exception as error:
-            error.add_note(traceback.format_exc())
-            answer = (None, error)
-        parent.send(answer)
+    with suppress(EOFError, ConnectionError):  # the parent has ended
+        while (job := parent.recv()) is not None:
+            try:
+                do = do or start()
+                answer: tuple[Any, Exception | None] = (do(job), None)
+            except Exception as error:
+                error.add_note(traceback.format_exc())
+                answer = (None, error)
+            parent.send(answer)
