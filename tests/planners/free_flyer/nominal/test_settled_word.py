@@ -12,7 +12,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.budget import Work
 from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.nominal.event_sequence import own_events
-from planners.free_flyer.nominal.planner import _list_attempts
+from planners.free_flyer.nominal.ladder import list_attempts
 from planners.free_flyer.nominal.several_objects.settled_word import settle_word, settle_words
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.verdict import Trial
@@ -64,7 +64,7 @@ def test_the_first_word_that_has_a_point_is_taken(task: NominalTask) -> None:
 def test_several_objects_are_moved_simply_with_all_reserves_before_anything_longer(task: NominalTask) -> None:
     trials: list[Trial] = []
     kinds = []
-    for attempt in _list_attempts(task, PlanOptions(), trials):
+    for attempt in list_attempts(task, PlanOptions(), trials):
         kinds.append((attempt.few, attempt.simple, attempt.halvings))
         trials.append(Trial(attempt, SolverFailed("joint", "none found", "more")))
     first = (
@@ -77,7 +77,7 @@ def test_several_objects_are_moved_simply_with_all_reserves_before_anything_long
 
 def test_what_an_object_cannot_do_alone_is_not_tried_in_longer_ways(task: NominalTask) -> None:
     trials: list[Trial] = []
-    for attempt in _list_attempts(task, PlanOptions(), trials):
+    for attempt in list_attempts(task, PlanOptions(), trials):
         trials.append(Trial(attempt, Infeasible("robustness", "no plan", "allow more impacts")))
     assert not any(trial.attempt.simple is False for trial in trials)
     assert any(not trial.attempt.few for trial in trials)
