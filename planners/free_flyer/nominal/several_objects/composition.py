@@ -16,7 +16,7 @@ import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import And
-from planners.errors import PlanningError, SolverFailed
+from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.clearance_rows import add_clearance_rows, solve_apart
 from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import ANYBODY, Word
@@ -72,22 +72,30 @@ def compose_objects(
         rho: robustness to keep, and its bound [m].
         find_time_left: returns the time left [s].
         options: of the search.
+
+    Raises:
+        Infeasible: in every order the first objects leave no time for the others, which less robustness hardly changes.
     """
     if any(any(body.start_velocity) or not body.rest for body in task.scenario.objects.values()):
         return None  # objects that fly while others are hit need straight flights
     known: dict[tuple[str, ...], Done | PlanningError] = {}
+    open_orders = False
     for order in itertools.permutations(numbers):
         try:
             done = _append_in_order(task, order, numbers, max_impacts, pieces, rho[0], find_time_left, known, options)
-        except PlanningError:
+        except PlanningError as error:
             if find_time_left() <= 0.0:
                 return None
+            # An object that has no plan even as the first one may have one of less robustness.
+            open_orders |= not isinstance(error, Infeasible) or error is known[order[:1]]
             continue
         try:
             return free_numbers(task, done, pieces, (options.least, rho[1]), find_time_left())
         except PlanningError:
-            continue
-    return None
+            open_orders = True
+    if open_orders:
+        return None
+    raise Infeasible("composition", "no time is left for the last objects", "raise the horizon")
 
 
 def _append_in_order(
@@ -165,20 +173,24 @@ def append_object(
         rho: robustness to keep [m].
 
     Raises:
-        PlanningError: no such impacts were found.
+        Infeasible: proven for all that were tried.
+        SolverFailed: no such impacts were found.
     """
-    failure: PlanningError = SolverFailed("composition", "no time or number of impacts is left", "raise the limits")
+    failure: PlanningError | None = None
     demands = restrict_demands(task, objects)
     numbers, gaps = allowed[: options.compose.more_impacts + 1], range(len(done.word), -1, -1)
     for impacts, gap in itertools.product(numbers, gaps):
         limit = find_time_left()
         if limit <= 0.0:
+            failure = SolverFailed("composition", "no time is left", "raise the time limit")
             break
         try:
             return _append_impacts(task, demands, done, objects[-1], impacts, gap, pieces, rho, limit, options)
+        except Infeasible as error:
+            failure = failure or error
         except PlanningError as error:
-            failure = error
-    raise failure
+            failure = error if failure is None or isinstance(failure, Infeasible) else failure
+    raise failure or SolverFailed("composition", "no number of impacts is left", "allow more impacts")
 
 
 def _append_impacts(
