@@ -13,12 +13,13 @@ from planners.free_flyer.frame import Frame
 from planners.free_flyer.nominal.attempt import Attempt
 from planners.free_flyer.nominal.climber import Climber
 from planners.free_flyer.nominal.diagnosis import explain_failure
-from planners.free_flyer.nominal.screening import is_excluded
+from planners.free_flyer.nominal.screening import find_excluded_object, is_excluded
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
-from planners.free_flyer.nominal.verdict import Trial, judge_trials
+from planners.free_flyer.nominal.verdict import Trial, describe_reserves, judge_trials
 from planners.free_flyer.nominal.ways import count_pieces
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.requirement import read_demands
+from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
 from planners.plan import Plan
 
 
@@ -58,6 +59,7 @@ def climb_ladder(
             plan = climber.climb()
         except PlanningError as error:
             trials.append(Trial(attempt, error, climber.rho))
+            _exclude_object(task, attempt, trials, max_impacts, budget, options)
             continue
         if best is None or plan.robustness > best.robustness:
             best = plan
@@ -77,6 +79,32 @@ def climb_ladder(
     complete = budget.left > 0.0
     verdict = judge_trials(trials, least, max_impacts, budget, complete)
     raise explain_failure(verdict, least, max_impacts, budget, options)
+
+
+def _exclude_object(
+    task: NominalTask, attempt: Attempt, trials: Sequence[Trial], max_impacts: int, budget: Budget, options: PlanOptions
+) -> None:
+    """Raise if one of several objects is proven to have no plan even alone.
+
+    It is tried once, where the first attempt has told that some object needs more than few impacts.
+
+    Raises:
+        Infeasible: proven, for any number of pieces a leg and the least of all reserves.
+    """
+    scenario = task.scenario
+    if not options.thorough or len(scenario.objects) == 1 or scenario.starts_moving or budget.left <= 0.0:
+        return
+    if len(trials) > 1 or trials[0].rho is not None or not isinstance(trials[0].error, Infeasible):
+        return
+    least, most = attempt.cut_to_least(task, options), min(max_impacts, options.proof_impacts)
+    with budget.stage("screening"):
+        name = find_excluded_object(least, most, options.least, options.proof_share * budget.left)
+    if name is None:
+        return
+    way = f"{name} has no plan with up to {most} impacts of it, not even alone and with nothing in the way of robots"
+    status = f"proven infeasible: {way}, and {describe_reserves(least, options.halvings)}"
+    failure = Infeasible(f"plan of {scenario.name}", status, "allow more time, move the areas, or relax the formula")
+    raise explain_failure(failure, least, max_impacts, budget, options)
 
 
 def _exclude_pieces(
@@ -103,7 +131,8 @@ def _exclude_pieces(
             limit, most = options.proof_share * budget.left, max(pieces)
             # So many pieces allow all that half or a third of them do.
             tried = [number for number in pieces if number == most or most % number]
-            excluded[pieces] = all(is_excluded(least, number, max_impacts, options.least, limit) for number in tried)
+            rho = options.least, compute_geometric_bound(scenario, least.demands, least.solver)
+            excluded[pieces] = all(is_excluded(least, number, max_impacts, rho, limit) for number in tried)
         if excluded[pieces]:
             status = f"proven infeasible with up to {max_impacts} impacts and the least of the planner's reserves"
             failure = Infeasible(f"plan of {scenario.name}", status, "allow more impacts or time")

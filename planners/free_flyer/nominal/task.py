@@ -235,6 +235,7 @@ class PlanOptions:
         halvings: how often the reserves are halved for a task that leaves no room for them.
         proof_share: share of the time left that it may take to prove, with the least of all reserves at once, that a
             number of pieces per leg has no plan; where it has one, the first point found ends it.
+        proof_impacts: greatest number of impacts of one of several objects in such a proof of it alone; it is named.
         brisk: factor of the time in which robots reach the speed of a leg, where their thrust limits this speed and the
             event grid has no plan.
         turns: factors of the time for starting and stopping, tried when motions prove too quick to be smoothed.
@@ -276,6 +277,7 @@ class PlanOptions:
     many_impacts: int = 3
     halvings: int = 2
     proof_share: float = 0.3
+    proof_impacts: int = 6
     brisk: float = 2.0
     turns: tuple[float, ...] = (1.0, 1.5)
     words: int = 3
