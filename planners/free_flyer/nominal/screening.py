@@ -47,7 +47,7 @@ def _drop_predicates(demands: Demands, dropped: Sequence[Predicate]) -> Demands:
     """Return demands of which some predicates hold everywhere."""
     free = {"kind": "stay", "faces": np.zeros((0, 2)), "bounds": np.zeros(0), "others": {}}
     freed = {one: replace(demands.predicates[one], **free) for one in dropped}  # type: ignore[arg-type]
-    return replace(demands, predicates=demands.predicates | freed)
+    return replace(demands, predicates={**demands.predicates, **freed})
 
 
 def find_excluded_object(task: NominalTask, max_impacts: int, least: float, time_limit: float) -> str | None:
