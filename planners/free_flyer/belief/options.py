@@ -234,6 +234,7 @@ class Stay:
     samples: Count = 16  # of a stay that are looked at
     # Shares of the time that is left after which a throw is back at the straight way; without drift the first is best.
     throws: tuple[Share, ...] = (1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08)
+    shortest_throw: Positive = 2.0  # but no sooner: near the end of the horizon these shares are but an instant [s]
     targets: Count = 4  # of the way to the plan's place that are tried, and the place where it is
 
 

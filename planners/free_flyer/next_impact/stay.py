@@ -153,7 +153,7 @@ def choose_stay(
     best = rate_stay(plan, memory, options, k, o, r, time, wish, best)
     way_x, way_y = plan.knot[knot].position[0] - x, plan.knot[knot].position[1] - y
     for j in range(len(options.stay.throws)):
-        lasts = max(options.stay.throws[j] * duration, 2.0)
+        lasts = max(options.stay.throws[j] * duration, options.stay.shortest_throw)
         for i in range(options.stay.targets + 1):
             share = i / options.stay.targets
             to_x, to_y, limit = x + share * way_x, y + share * way_y, plan.body[body].speed_limit

@@ -1,4 +1,4 @@
-"""Why a scenario has no plan: the smallest relaxation that gives it one."""
+"""Why a scenario has no plan: the smallest relaxation that gives it one, tried before it is said."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ from functools import partial
 
 import numpy as np
 
+from impact_envs.errors import InputError
 from impact_envs.stl import Predicate
-from planners.budget import read_clock
-from planners.errors import PlanningError
+from planners.budget import Budget, read_clock
+from planners.errors import Infeasible, PlanningError
 from planners.free_flyer.nominal.clearance_rows import solve_apart
-from planners.free_flyer.nominal.task import NominalTask
+from planners.free_flyer.nominal.climber import Climber
+from planners.free_flyer.nominal.task import NominalTask, PlanOptions
+from planners.free_flyer.nominal.ways import count_pieces
 from planners.free_flyer.specification.grid import GridSize
-from planners.free_flyer.specification.loosening import list_conjuncts, soften
-from planners.free_flyer.specification.requirement import Demands
+from planners.free_flyer.specification.loosening import list_conjuncts, loosen, soften
+from planners.free_flyer.specification.requirement import Demands, read_demands
 from planners.mixed_integer import Affine, Model
 from planners.solvers import solve
 
@@ -125,3 +128,33 @@ def _measure_depth(demands: Demands, part: str) -> float:
 
 def _solve_point(model: Model, time_limit: float, solver: str) -> np.ndarray:
     return solve(model, time_limit, GAP, solver).x
+
+
+def explain_failure(
+    failure: PlanningError, task: NominalTask, max_impacts: int, budget: Budget, options: PlanOptions
+) -> PlanningError:
+    """Return the failure of a task; if it is infeasible, the remedy says what to loosen."""
+    if not isinstance(failure, Infeasible) or not options.diagnosis:
+        return failure
+    limit = min(max(budget.left, 0.25 * options.diagnosis), options.diagnosis)
+    pieces = min(count_pieces(task.scenario, task.demands, task.reserves.wall) or 1, options.most_pieces)
+    found = find_relaxation(task, max_impacts, options.least, limit, pieces)
+    if not found:
+        return failure
+    exists = "a plan exists" if _try_remedy(task, found, max_impacts, options) else "impacts would exist"
+    return Infeasible(failure.problem, failure.status, f"{exists} with {' and '.join(map(str, found))}")
+
+
+def _try_remedy(task: NominalTask, found: Sequence[Relaxation], max_impacts: int, options: PlanOptions) -> bool:
+    """Return whether the task has a plan once its formula is loosened by what was found, and a little more."""
+    amounts = list_amounts(task, found)
+    if sum(amount > 0.0 for amount in amounts) < len(found):
+        return False  # it takes faster robots
+    room = options.remedy_room
+    try:
+        loose = loosen(task.scenario, [a / task.frame.length + room if a > 0.0 else 0.0 for a in amounts])
+        tried = replace(task, scenario=loose, demands=read_demands(loose, task.reserves.wall))
+        Climber(tried, max_impacts, Budget(options.diagnosis), replace(options, thorough=False, few=None)).climb()
+    except (PlanningError, InputError):
+        return False
+    return True

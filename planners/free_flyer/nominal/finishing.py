@@ -201,7 +201,7 @@ def _wait_longer(
         last: EventSequence | None = None
         for share in options.less:
             rho = max(options.least, share * found.rho)
-            if best is not None and rho <= best.robustness:
+            if budget.left <= 0.0 or (best is not None and rho <= best.robustness):
                 break
             try:
                 with budget.stage("effort"):

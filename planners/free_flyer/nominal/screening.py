@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from impact_envs.stl import Predicate
 from planners.budget import read_clock
 from planners.errors import Infeasible, SolverFailed
+from planners.free_flyer.nominal.several_objects.sequence_search import restrict_to_object
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.specification.grid import GridSize
+from planners.free_flyer.specification.requirement import Demands, read_demands
 from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
 from planners.solvers import solve
 
@@ -30,12 +34,8 @@ def exclude_size(task: NominalTask, size: GridSize, rho: tuple[float, float], ti
     Raises:
         Infeasible: no plan.
     """
-    free = {"kind": "stay", "faces": np.zeros((0, 2)), "bounds": np.zeros(0), "others": {}}
-    predicates = {
-        predicate: need if need.kind == "stay" else replace(need, **free)  # type: ignore[arg-type]
-        for predicate, need in task.demands.predicates.items()
-    }
-    easy = replace(task, demands=replace(task.demands, predicates=predicates, solids=()))
+    free = [predicate for predicate, need in task.demands.predicates.items() if need.kind != "stay"]
+    easy = replace(task, demands=replace(_drop_predicates(task.demands, free), solids=()))
     grid, _ = easy.build(size, rho)
     try:
         solve(grid.model, time_limit, math.inf, task.solver, work=task.work, nodes=task.easy_nodes)
@@ -43,18 +43,55 @@ def exclude_size(task: NominalTask, size: GridSize, rho: tuple[float, float], ti
         return
 
 
-def is_excluded(task: NominalTask, pieces: int, max_impacts: int, least: float, time_limit: float) -> bool:
+def _drop_predicates(demands: Demands, dropped: Sequence[Predicate]) -> Demands:
+    """Return demands of which some predicates hold everywhere."""
+    free = {"kind": "stay", "faces": np.zeros((0, 2)), "bounds": np.zeros(0), "others": {}}
+    freed = {one: replace(demands.predicates[one], **free) for one in dropped}  # type: ignore[arg-type]
+    return replace(demands, predicates={**demands.predicates, **freed})
+
+
+def find_excluded_object(task: NominalTask, max_impacts: int, least: float, time_limit: float) -> str | None:
+    """Return an object that is proven to have no plan, even where it is alone and nothing is in the way of robots.
+
+    Robots that pass through everything fly straight, so the proof holds for any number of pieces per leg and wherever
+    the other objects are. What is asked of robots is left out.
+
+    Args:
+        task: several objects that start at rest, with the least reserves of which the proof is to tell.
+        max_impacts: greatest number of impacts.
+        least: robustness that a plan must have [m].
+        time_limit: of all proofs together [s].
+
+    Returns:
+        Its name; None: none is proven.
+    """
+    end = read_clock() + time_limit
+    for name in task.scenario.objects:
+        scenario = restrict_to_object(task.scenario, name)
+        if scenario is None:
+            continue
+        demands = read_demands(scenario, task.reserves.wall)
+        ceiling = compute_geometric_bound(scenario, demands, task.solver)
+        own = [one for one, need in demands.predicates.items() if set(need.bodies) <= {name}]
+        freed = _drop_predicates(demands, [one for one in demands.predicates if one not in own])
+        freed = replace(freed, solids=tuple(need for need in demands.solids if need.body == name))
+        alone = replace(task, scenario=scenario, demands=freed)
+        if is_excluded(alone, 1, max_impacts, (least, ceiling), end - read_clock()):
+            return name
+    return None
+
+
+def is_excluded(task: NominalTask, pieces: int, max_impacts: int, rho: tuple[float, float], time_limit: float) -> bool:
     """Return whether a task is proven to have no plan with so many pieces per leg, within a limit of nodes and time.
 
     Args:
         task: what is asked, with the least reserves of which the proof is to tell.
         pieces: per leg.
         max_impacts: greatest number of impacts.
-        least: robustness that a plan must have [m].
+        rho: least and greatest robustness of a plan [m].
         time_limit: of all proofs together [s].
     """
-    rho = (least, compute_geometric_bound(task.scenario, task.demands, task.solver))
-    if rho[1] < least:
+    if rho[1] < rho[0]:
         return True
     end = read_clock() + time_limit
     for impacts in range(max_impacts + 1):

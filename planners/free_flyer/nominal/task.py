@@ -134,8 +134,9 @@ class WordSearchOptions:
             long and count no nodes; the shipped scenarios need 30 at most. Where they do not suffice, it ends.
         nearly: share of the robustness that an object attains alone from which on fewer impacts or pieces do, for the
             models of all objects grow with both.
-        settled: number of sequences of which any point is sought, where that of least cost was not found.
-        settled_nodes: of branch and bound in each solution for these.
+        settled: number of orders of impacts of which any point is sought, whoever hits, where no cheap one was found.
+        settled_nodes: of branch and bound in each solution for these; few prove that there is none, and hundreds find
+            who hits and on which side bodies pass.
         settling_time: share of the time left that all of these take.
         work: that the search may take then; the shipped scenarios take a quarter to a half of it [units of `Work`].
         improve: whether to look on after the first sequence that has a plan, and to bound the cost.
@@ -160,7 +161,7 @@ class WordSearchOptions:
     word_pauses: int = 40
     nearly: float = 0.9
     settled: int = 10
-    settled_nodes: int = 150
+    settled_nodes: int = 1000
     settling_time: float = 0.8
     work: float = 5e4
     improve: bool = True
@@ -192,7 +193,7 @@ class CompositionOptions:
     nodes: int = 500
     longest: float = 20.0
     binaries: int = 250
-    time: float = 0.8
+    time: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -234,6 +235,7 @@ class PlanOptions:
         halvings: how often the reserves are halved for a task that leaves no room for them.
         proof_share: share of the time left that it may take to prove, with the least of all reserves at once, that a
             number of pieces per leg has no plan; where it has one, the first point found ends it.
+        proof_impacts: greatest number of impacts of one of several objects in such a proof of it alone; it is named.
         brisk: factor of the time in which robots reach the speed of a leg, where their thrust limits this speed and the
             event grid has no plan.
         turns: factors of the time for starting and stopping, tried when motions prove too quick to be smoothed.
@@ -275,6 +277,7 @@ class PlanOptions:
     many_impacts: int = 3
     halvings: int = 2
     proof_share: float = 0.3
+    proof_impacts: int = 6
     brisk: float = 2.0
     turns: tuple[float, ...] = (1.0, 1.5)
     words: int = 3

@@ -10,18 +10,19 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import And
-from planners.errors import PlanningError, SolverFailed
+from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.clearance_rows import add_clearance_rows, solve_apart
 from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import ANYBODY, Word
 from planners.free_flyer.nominal.least_cost import read_word, straighten_flight
 from planners.free_flyer.nominal.leg_times import Correction
+from planners.free_flyer.nominal.several_objects.given_events import NEAR, Done, pin_events, pin_later
 from planners.free_flyer.nominal.several_objects.sequence_search import list_parts_about
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.word_grid import WordGrid
@@ -29,25 +30,8 @@ from planners.free_flyer.specification.direction import DIRECTIONS
 from planners.free_flyer.specification.formula_rows import add_demands
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import Demands, read_demands
-from planners.mixed_integer import Affine, Model, evaluate
+from planners.mixed_integer import Affine, evaluate
 from planners.solvers import solve
-
-NEAR = 1e-6  # of given numbers, so that rounded rows hold [m, s]
-
-
-@dataclass(frozen=True)
-class Done:
-    """Hold what is given of the objects done so far.
-
-    Args:
-        word: who hits what.
-        times: of these impacts, shape (k,) [s].
-        knots: of every body up to the last of these impacts, each shape (n k + 1, 2) [m].
-    """
-
-    word: Word
-    times: np.ndarray
-    knots: Mapping[str, np.ndarray]
 
 
 def compose_objects(
@@ -72,22 +56,30 @@ def compose_objects(
         rho: robustness to keep, and its bound [m].
         find_time_left: returns the time left [s].
         options: of the search.
+
+    Raises:
+        Infeasible: in every order the first objects leave no time for the others, which less robustness hardly changes.
     """
     if any(any(body.start_velocity) or not body.rest for body in task.scenario.objects.values()):
         return None  # objects that fly while others are hit need straight flights
     known: dict[tuple[str, ...], Done | PlanningError] = {}
+    open_orders = False
     for order in itertools.permutations(numbers):
         try:
             done = _append_in_order(task, order, numbers, max_impacts, pieces, rho[0], find_time_left, known, options)
-        except PlanningError:
+        except PlanningError as error:
             if find_time_left() <= 0.0:
                 return None
+            # An object that has no plan even as the first one may have one of less robustness.
+            open_orders |= not isinstance(error, Infeasible) or error is known[order[:1]]
             continue
         try:
             return free_numbers(task, done, pieces, (options.least, rho[1]), find_time_left())
         except PlanningError:
-            continue
-    return None
+            open_orders = True
+    if open_orders:
+        return None
+    raise Infeasible("composition", "no time is left for the last objects", "raise the horizon")
 
 
 def _append_in_order(
@@ -165,20 +157,24 @@ def append_object(
         rho: robustness to keep [m].
 
     Raises:
-        PlanningError: no such impacts were found.
+        Infeasible: proven for all that were tried.
+        SolverFailed: no such impacts were found.
     """
-    failure: PlanningError = SolverFailed("composition", "no time or number of impacts is left", "raise the limits")
+    failure: PlanningError | None = None
     demands = restrict_demands(task, objects)
     numbers, gaps = allowed[: options.compose.more_impacts + 1], range(len(done.word), -1, -1)
     for impacts, gap in itertools.product(numbers, gaps):
         limit = find_time_left()
         if limit <= 0.0:
+            failure = SolverFailed("composition", "no time is left", "raise the time limit")
             break
         try:
             return _append_impacts(task, demands, done, objects[-1], impacts, gap, pieces, rho, limit, options)
+        except Infeasible as error:
+            failure = failure or error
         except PlanningError as error:
-            failure = error
-    raise failure
+            failure = error if failure is None or isinstance(failure, Infeasible) else failure
+    raise failure or SolverFailed("composition", "no number of impacts is left", "allow more impacts")
 
 
 def _append_impacts(
@@ -198,8 +194,8 @@ def _append_impacts(
     word = (*done.word[:gap], *((ANYBODY, name),) * impacts, *done.word[gap:])
     grid = build_event_grid(scenario, len(word), (rho - NEAR, rho), task.reserves, pieces, word=word, sharp=True)
     grid = replace(grid, axes=DIRECTIONS)  # a flight may pass a resting object at a slant
-    _pin(grid, done, gap)
-    _pin_later(grid, done, gap, impacts, name)
+    pin_events(grid, done, gap)
+    pin_later(grid, done, gap, impacts, name)
     add_demands(grid, demands, scenario.control_period, passing=True)
     first = gap * pieces
     add_clearance_rows(grid, scenario, task.reserves, list_places(scenario, range(first, grid.count)))
@@ -249,7 +245,7 @@ def free_numbers(task: NominalTask, done: Done, pieces: int, rho: tuple[float, f
     add_clearance_rows(grid, task.scenario, task.reserves, list_places(task.scenario, range(grid.count)))
     model = grid.model
     bounds = list(model.lower), list(model.upper)
-    _pin(grid, done, len(done.word))
+    pin_events(grid, done, len(done.word))
     model.objective = -grid.rho
     x = solve(model, limit, 1.0, task.solver, work=task.work).x
     model.lower, model.upper = bounds
@@ -276,53 +272,6 @@ def add_corrections(found: WordGrid, corrections: Iterable[Correction], time_lim
     for correction in corrections:
         correction.add_to(grid)
     return replace(found, x=solve(grid.model, time_limit, solver=task.solver, work=task.work).x)
-
-
-def _pin(grid: EventGrid, done: Done, events: int) -> None:
-    """Bound times and places closely around their given numbers, up to so many events."""
-    bound_values(grid.model, grid.times[grid.pieces :: grid.pieces], done.times[:events])
-    for name, places in done.knots.items():
-        for d in range(2):
-            bound_values(grid.model, [knot[d] for knot in grid.knots[name]], places[: events * grid.pieces + 1, d])
-
-
-def _pin_later(grid: EventGrid, done: Done, gap: int, impacts: int, name: str) -> None:
-    """Keep the other objects on their given flights during the impacts of one, and after these; robots are free.
-
-    Args:
-        grid: gets the rows.
-        done: what is given.
-        gap: number of events before the impacts.
-        impacts: their number.
-        name: of the object that is hit.
-    """
-    if gap == len(done.word):
-        return
-    times = grid.times[:: grid.pieces]
-    bound_values(grid.model, times[gap + impacts + 1 :], done.times[gap:])
-    before, after = (np.concatenate([[0.0], done.times])[k] for k in (gap, gap + 1))
-    for other in grid.objects:
-        if other == name:
-            continue
-        path, places = grid.path(other), done.knots[other][:: grid.pieces]
-        velocity = (places[gap + 1] - places[gap]) / (after - before)
-        for event, d in itertools.product(range(gap + 1, gap + impacts + 1), range(2)):
-            miss = path[event][d] - (places[gap][d] + (times[event] - before) * velocity[d])
-            if isinstance(miss, Affine) and miss.coefficients:
-                grid.model.require(miss - NEAR)
-                grid.model.require(-miss - NEAR)
-        for d in range(2):
-            bound_values(grid.model, [place[d] for place in path[gap + impacts + 1 :]], places[gap + 1 :, d])
-
-
-def bound_values(model: Model, expressions: Sequence[Affine | float], values: np.ndarray) -> None:
-    """Bound those expressions that are variables."""
-    for expression, value in zip(expressions, values, strict=False):
-        if isinstance(expression, Affine) and list(expression.coefficients.values()) == [1.0]:
-            (index,) = expression.coefficients
-            place = float(value) - expression.constant
-            model.lower[index] = max(model.lower[index], place - NEAR)
-            model.upper[index] = min(model.upper[index], place + NEAR)
 
 
 def list_places(scenario: FreeFlyerScenario, pieces: range) -> Iterator[tuple[str, str, int]]:

@@ -16,14 +16,12 @@ from planners.free_flyer.nominal.clearance_rows import add_clearance_rows
 from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import ANYBODY
 from planners.free_flyer.nominal.several_objects.composition import (
-    NEAR,
-    Done,
     append_object,
-    bound_values,
     finish_early,
     free_numbers,
     restrict_demands,
 )
+from planners.free_flyer.nominal.several_objects.given_events import NEAR, Done, bound_values
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.word_grid import WordGrid
 from planners.free_flyer.specification.formula_rows import add_demands

@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planners.budget import Budget
-from planners.errors import PlanningError, SolverFailed
-from planners.free_flyer.nominal.event_sequence import Hitter, Word
+from planners.errors import Infeasible, PlanningError, SolverFailed
+from planners.free_flyer.nominal.event_sequence import ANYBODY, Hitter, Word
 from planners.free_flyer.nominal.least_cost import minimise_path_cost
 from planners.free_flyer.nominal.robustness import MANY, RobustnessOptimum, maximise_robustness
 from planners.free_flyer.nominal.several_objects.composition import compose_objects, is_large
 from planners.free_flyer.nominal.several_objects.giving_way import give_way
 from planners.free_flyer.nominal.several_objects.sequence_search import (
     lengthen_words,
-    list_neighbours,
+    list_orders,
     restrict_to_object,
     search_words,
 )
@@ -159,19 +159,30 @@ class _JointSearch:
         for left, share in zip(range(len(shares), 0, -1), shares, strict=True):
             part = budget.share((end - budget.elapsed) / left)
             limits = self.numbers, self.max_impacts, self.pieces, self._keep(share)
-            found = self._read(compose_objects(self.task, *limits, lambda part=part: part.left, options))  # type: ignore[misc]
+            try:
+                found = self._read(compose_objects(self.task, *limits, lambda part=part: part.left, options))  # type: ignore[misc]
+            except Infeasible:
+                break
             if found is not None:
                 return found
         return None
 
     def _settle(self, seed: Word) -> RobustnessOptimum | None:
-        """Return the optimum of the seed or of a word near it, whatever its path cost; None: none was found."""
+        """Return the optimum of the seed's order or of one near it, whoever hits and whatever the cost; None: none.
+
+        Robots may turn at every event, those of other objects included, so one piece a leg mostly does.
+        """
         if len(seed) > self.max_impacts:
             return None
         options, part = self.options, self.budget.share(self.options.search.settling_time * self.budget.left)
-        near = itertools.islice(list_neighbours(self.task.scenario, seed), options.search.settled - 1)
-        words, kept = [seed, *near], self._keep(options.compose.shares[-1])
-        return self._read(settle_words(self.task, words, self.pieces, kept, lambda: part.left, options))
+        orders = itertools.islice(list_orders([name for _, name in seed]), options.search.settled)
+        words = [tuple((ANYBODY, name) for name in order) for order in orders]
+        kept = self._keep(0.0)
+        for pieces in sorted({1, self.pieces}):
+            found = settle_words(self.task, words, pieces, kept, lambda: part.left, options)
+            if found is not None:
+                return self._read(found)
+        return None
 
     def _give_way(self, ways: Mapping[str, np.ndarray]) -> RobustnessOptimum | None:
         """Return the optimum of objects one of which gives way to another; None: none was found."""
@@ -187,7 +198,8 @@ class _JointSearch:
         """Return the optimum of a grid whose alternatives are kept."""
         if found is None:
             return None
-        return RobustnessOptimum(GridSize(len(found.grid.hits), self.pieces), found.rho, self.ceiling, found=found)
+        size = GridSize(len(found.grid.hits), found.grid.pieces)
+        return RobustnessOptimum(size, found.rho, self.ceiling, found=found)
 
     def _find_shallow(self, seed: Word) -> RobustnessOptimum | None:
         """Return words of as many impacts as the objects need one by one, with less robustness; None: none found."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
@@ -243,6 +244,24 @@ def list_neighbours(scenario: FreeFlyerScenario, word: Word) -> Iterator[Word]:
         for other in scenario.robots:
             if other != robot:
                 yield (*word[:k], (other, name), *word[k + 1 :])
+
+
+def list_orders(order: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Yield an order of objects and all others of as many impacts of each, those with fewest exchanges first.
+
+    Args:
+        order: name of the object of each impact.
+    """
+    known = {tuple(order)}
+    waiting = deque(known)
+    while waiting:
+        here = waiting.popleft()
+        yield here
+        for k, (first, second) in enumerate(itertools.pairwise(here)):
+            there = (*here[:k], second, first, *here[k + 2 :])
+            if there not in known:
+                known.add(there)
+                waiting.append(there)
 
 
 def _bound_cost(

@@ -7,6 +7,7 @@ shares of time of their flights are given; these are those of a point where they
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -76,7 +77,7 @@ def settle_word(
     grid, choices = replace(task, sharp=True).build(size, rho, word)
     grid = replace(grid, axes=DIRECTIONS)
     find_point = partial(_find_point, task, grid, limit, nodes)
-    moments = evaluate(grid.times[::pieces], find_point())
+    moments = spread_events(task, grid, find_point(), limit)
     for name in grid.objects:
         straighten_flight(grid, name, word, moments, rests=True)
     x = solve_apart(grid, task.scenario, task.reserves, find_point)
@@ -85,6 +86,33 @@ def settle_word(
         model.lower[index] = model.upper[index] = float(np.round(x[index]))
     model.objective = -grid.rho
     return WordGrid(task, grid, choices, solve_apart(grid, task.scenario, task.reserves, find_point))
+
+
+def spread_events(task: NominalTask, grid: EventGrid, x: np.ndarray, limit: float) -> np.ndarray:
+    """Return the times of events that keep the alternatives of a point, as far from each other as may be.
+
+    A first point has some events in a cluster, and flights whose shares of time are extreme leave no way to keep bodies
+    apart.
+
+    Args:
+        task: what is asked.
+        grid: meaning of the point; it stays as it is.
+        x: the point, shape (n,).
+        limit: of the solution [s].
+
+    Returns:
+        Times, ends included, shape (K + 2,) [s].
+    """
+    model, times = grid.model, grid.times[:: grid.pieces]
+    spread = replace(model, lower=list(model.lower), upper=list(model.upper), integer=list(model.integer))
+    spread.inequalities = list(model.inequalities)
+    for index in np.flatnonzero(model.integer):
+        spread.lower[index] = spread.upper[index] = float(np.round(x[index]))
+    least = spread.variable(0.0, task.scenario.horizon)
+    for before, after in itertools.pairwise(times):
+        spread.require(least - (after - before))
+    spread.objective = -least
+    return evaluate(times, solve(spread, limit, solver=task.solver, work=task.work).x)
 
 
 def _find_point(task: NominalTask, grid: EventGrid, limit: float, nodes: int) -> np.ndarray:

@@ -10,7 +10,8 @@ from impact_envs.scenario import load_scenario
 from planners import make_plan
 from planners.budget import Budget
 from planners.errors import Infeasible, SolverFailed
-from planners.free_flyer.nominal.planner import make_free_flyer_plan, quicken_legs
+from planners.free_flyer.nominal.climber import quicken_legs
+from planners.free_flyer.nominal.planner import make_free_flyer_plan
 from planners.free_flyer.nominal.robustness import RobustnessOptimum
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.reserves import Reserves

@@ -12,11 +12,13 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.budget import Work
 from planners.errors import Infeasible
 from planners.free_flyer.nominal.attempt import Attempt
+from planners.free_flyer.nominal.planner import make_free_flyer_plan
 from planners.free_flyer.nominal.remaining import OPTIONS, RESERVES
-from planners.free_flyer.nominal.screening import is_excluded, screen_task
+from planners.free_flyer.nominal.screening import find_excluded_object, is_excluded, screen_task
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.requirement import read_demands
+from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
 from tests.frozen.freeze import get_plan
 from tests.planners.free_flyer.plans import load
 
@@ -59,5 +61,25 @@ def test_a_task_is_excluded_if_its_time_is_too_short(horizon: float, excluded: b
     formula = f"G[{horizon:g},{horizon:g}] pop in goal"
     scenario = load("throw_and_catch", horizon=horizon, formula=formula)
     least = Attempt((1, 2)).cut_to_least(make_task(scenario), PlanOptions())
-    assert is_excluded(least, 2, 3, 1e-3, math.inf) is excluded
-    assert not is_excluded(least, 2, 3, 1e-3, 0.0), "no time, no proof"
+    rho = 1e-3, compute_geometric_bound(scenario, least.demands)
+    assert is_excluded(least, 2, 3, rho, math.inf) is excluded
+    assert not is_excluded(least, 2, 3, rho, 0.0), "no time, no proof"
+
+
+SOON = "F[0,{}] pop in east & G[100,100] plop in west"  # 5.5 m at 0.3 m/s, once a robot has come up
+
+
+@pytest.mark.parametrize(("late", "excluded"), [(60, None), (20, "pop")])
+def test_an_object_that_has_no_time_even_alone_is_named(late: int, excluded: str | None) -> None:
+    scenario = load("exchange", formula=SOON.format(late))
+    least = Attempt((1, 2)).cut_to_least(make_task(scenario), PlanOptions())
+    assert find_excluded_object(least, 6, 1e-3, math.inf) == excluded
+    assert find_excluded_object(least, 6, 1e-3, 0.0) is None, "no time, no proof"
+
+
+def test_a_whole_task_is_proven_by_one_of_its_objects() -> None:
+    work = Work()
+    with pytest.raises(Infeasible, match="pop has no plan with up to 6 impacts of it, not even alone") as told:
+        make_free_flyer_plan(load("exchange", formula=SOON.format(20)), work=work, options=PlanOptions(diagnosis=0.0))
+    assert "a quarter of the planner's reserves" in told.value.status
+    assert work.done < 1e5

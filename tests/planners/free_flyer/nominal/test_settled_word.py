@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -11,13 +12,17 @@ from impact_envs import load_scenario
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from planners.budget import Work
 from planners.errors import Infeasible, SolverFailed
-from planners.free_flyer.nominal.event_sequence import own_events
-from planners.free_flyer.nominal.planner import _list_attempts
-from planners.free_flyer.nominal.several_objects.settled_word import settle_word, settle_words
+from planners.free_flyer.nominal.event_sequence import ANYBODY, own_events
+from planners.free_flyer.nominal.ladder import list_attempts
+from planners.free_flyer.nominal.several_objects.sequence_search import list_orders
+from planners.free_flyer.nominal.several_objects.settled_word import settle_word, settle_words, spread_events
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.verdict import Trial
 from planners.free_flyer.reserves import Reserves
+from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import read_demands
+from planners.mixed_integer import evaluate
+from planners.solvers import solve
 from tests.frozen.freeze import get_plan
 
 LEAST = 0.15  # robustness that is kept [m]
@@ -61,10 +66,39 @@ def test_the_first_word_that_has_a_point_is_taken(task: NominalTask) -> None:
     assert settle_words(task, [word], 1, (LEAST, 0.5), lambda: 0.0, PlanOptions()) is None
 
 
+def test_orders_are_all_there_are_the_nearest_ones_first() -> None:
+    order = ("p", "q", "p", "q")
+    found = list(list_orders(order))
+    assert found[0] == order
+    assert sorted(found) == sorted(set(itertools.permutations(order)))
+
+    def count_exchanges(other: tuple[str, ...]) -> int:
+        places = [[k for k, name in enumerate(one) if name == "p"] for one in (order, other)]
+        return sum(abs(a - b) for a, b in zip(*places, strict=True))
+
+    assert [count_exchanges(other) for other in found] == sorted(count_exchanges(other) for other in found)
+
+
+def test_events_are_spread_as_far_as_the_same_alternatives_allow(task: NominalTask) -> None:
+    word = _read_word()
+    grid, _ = task.build(GridSize(len(word), 1, passing=True), (LEAST, 0.5), word)
+    x = solve(grid.model, 60.0, math.inf).x
+    rows, bounds = len(grid.model.inequalities), list(grid.model.lower)
+    before, after = evaluate(grid.times, x), spread_events(task, grid, x, 60.0)
+    assert np.diff(after).min() >= np.diff(before).min() - 1e-6
+    assert (len(grid.model.inequalities), grid.model.lower) == (rows, bounds), "the grid stays as it is"
+
+
+def test_whoever_hits_an_order_has_a_point(task: NominalTask) -> None:
+    word = tuple((ANYBODY, name) for _, name in _read_word())
+    found = settle_word(task, word, 1, (LEAST, 0.5), 60.0, 1000)
+    assert {robot for robot, _ in found.reduce_cost(LEAST).sequence.hitters} <= set(task.scenario.robots)
+
+
 def test_several_objects_are_moved_simply_with_all_reserves_before_anything_longer(task: NominalTask) -> None:
     trials: list[Trial] = []
     kinds = []
-    for attempt in _list_attempts(task, PlanOptions(), trials):
+    for attempt in list_attempts(task, PlanOptions(), trials):
         kinds.append((attempt.few, attempt.simple, attempt.halvings))
         trials.append(Trial(attempt, SolverFailed("joint", "none found", "more")))
     first = (
@@ -77,7 +111,7 @@ def test_several_objects_are_moved_simply_with_all_reserves_before_anything_long
 
 def test_what_an_object_cannot_do_alone_is_not_tried_in_longer_ways(task: NominalTask) -> None:
     trials: list[Trial] = []
-    for attempt in _list_attempts(task, PlanOptions(), trials):
+    for attempt in list_attempts(task, PlanOptions(), trials):
         trials.append(Trial(attempt, Infeasible("robustness", "no plan", "allow more impacts")))
     assert not any(trial.attempt.simple is False for trial in trials)
     assert any(not trial.attempt.few for trial in trials)

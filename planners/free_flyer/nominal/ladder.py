@@ -1,0 +1,179 @@
+"""Climb the ladder of attempts: which reserves, pieces and searches are tried in which order, and when it ends."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from impact_envs.free_flyer.schema import FreeFlyerScenario
+from planners.budget import Budget, Work
+from planners.errors import Infeasible, PlanningError
+from planners.free_flyer.frame import Frame
+from planners.free_flyer.nominal.attempt import Attempt
+from planners.free_flyer.nominal.climber import Climber
+from planners.free_flyer.nominal.diagnosis import explain_failure
+from planners.free_flyer.nominal.screening import find_excluded_object, is_excluded
+from planners.free_flyer.nominal.task import NominalTask, PlanOptions
+from planners.free_flyer.nominal.verdict import Trial, describe_reserves, judge_trials
+from planners.free_flyer.nominal.ways import count_pieces
+from planners.free_flyer.reserves import Reserves
+from planners.free_flyer.specification.requirement import read_demands
+from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
+from planners.plan import Plan
+
+
+def climb_ladder(
+    scenario: FreeFlyerScenario,
+    max_impacts: int,
+    budget: Budget,
+    solver: str,
+    reserves: Reserves,
+    options: PlanOptions,
+    work: Work | None,
+    frame: Frame,
+) -> Plan:
+    """Climb the ladder of attempts until one gives a plan, see `list_attempts`."""
+    demands = read_demands(scenario, reserves.wall)
+    task = NominalTask(scenario, demands, reserves, solver, work, frame)
+    if options.expected is not None:
+        max_impacts = min(max_impacts, options.expected + 1)
+    trials: list[Trial] = []
+    best: Plan | None = None
+    excluded: dict[tuple[int, ...], bool] = {}
+    for attempt in list_attempts(task, options, trials):
+        if trials and budget.left <= 0.0:
+            break
+        if _exclude_pieces(task, attempt, trials, excluded, max_impacts, budget, options):
+            continue
+        shallow = best is not None and best.robustness < options.deep * best.bound
+        if best is not None and not attempt.may_improve(len(scenario.objects) > 1, shallow):
+            continue
+        enough = options.enough * (1.0 if options.thorough else 0.5**attempt.halvings)
+        few = options.few if attempt.few else None
+        tried = replace(options, pieces=attempt.pieces, enough=enough, few=few, simple=attempt.simple)
+        if options.thorough and (attempt.brisk or attempt.halvings):
+            tried = replace(tried, enough_alone=options.enough_less)
+        climber = Climber(attempt.cut_reserves(task, options), max_impacts, budget, tried, hurry=best is not None)
+        try:
+            plan = climber.climb()
+        except PlanningError as error:
+            trials.append(Trial(attempt, error, climber.rho))
+            _exclude_object(task, attempt, trials, max_impacts, budget, options)
+            continue
+        if best is None or plan.robustness > best.robustness:
+            best = plan
+        shallow = bool(attempt.simple) and best.robustness < options.deep * best.bound
+        satisfying = climber.rho is None or plan.robustness >= options.satisfying * climber.rho
+        if not options.thorough or (satisfying and not shallow):
+            break
+        trials.append(Trial(attempt, climber.failure, climber.rho))
+    if best is not None:
+        return best
+    if not options.thorough:
+        failure = trials[0].error
+        assert failure is not None
+        raise failure
+    hardest = max((trial.attempt for trial in trials), key=lambda attempt: (attempt.halvings, attempt.brisk))
+    least = hardest.cut_reserves(task, options)
+    complete = budget.left > 0.0
+    verdict = judge_trials(trials, least, max_impacts, budget, complete)
+    raise explain_failure(verdict, least, max_impacts, budget, options)
+
+
+def _exclude_object(
+    task: NominalTask, attempt: Attempt, trials: Sequence[Trial], max_impacts: int, budget: Budget, options: PlanOptions
+) -> None:
+    """Raise if one of several objects is proven to have no plan even alone.
+
+    It is tried once, where the first attempt has told that some object needs more than few impacts.
+
+    Raises:
+        Infeasible: proven, for any number of pieces a leg and the least of all reserves.
+    """
+    scenario = task.scenario
+    if not options.thorough or len(scenario.objects) == 1 or scenario.starts_moving or budget.left <= 0.0:
+        return
+    if len(trials) > 1 or trials[0].rho is not None or not isinstance(trials[0].error, Infeasible):
+        return
+    least, most = attempt.cut_to_least(task, options), min(max_impacts, options.proof_impacts)
+    with budget.stage("screening"):
+        name = find_excluded_object(least, most, options.least, options.proof_share * budget.left)
+    if name is None:
+        return
+    way = f"{name} has no plan with up to {most} impacts of it, not even alone and with nothing in the way of robots"
+    status = f"proven infeasible: {way}, and {describe_reserves(least, options.halvings)}"
+    failure = Infeasible(f"plan of {scenario.name}", status, "allow more time, move the areas, or relax the formula")
+    raise explain_failure(failure, least, max_impacts, budget, options)
+
+
+def _exclude_pieces(
+    task: NominalTask,
+    attempt: Attempt,
+    trials: list[Trial],
+    excluded: dict[tuple[int, ...], bool],
+    max_impacts: int,
+    budget: Budget,
+    options: PlanOptions,
+) -> bool:
+    """Return whether no attempt with so many pieces has a plan; a proof for the least reserves is added to the trials.
+
+    It is tried once for every number of pieces, and where all attempts so far were proofs: a task without a plan is
+    then told by one model instead of six, and there is time for every number of pieces.
+    """
+    scenario, pieces = task.scenario, attempt.pieces
+    alone = len(scenario.objects) == 1 and not scenario.starts_moving
+    if not options.thorough or not alone or not trials or not all(trial.is_proof for trial in trials):
+        return False
+    if pieces not in excluded:
+        least = attempt.cut_to_least(task, options)
+        with budget.stage("screening"):
+            limit, most = options.proof_share * budget.left, max(pieces)
+            # So many pieces allow all that half or a third of them do.
+            tried = [number for number in pieces if number == most or most % number]
+            rho = options.least, compute_geometric_bound(scenario, least.demands, least.solver)
+            excluded[pieces] = all(is_excluded(least, number, max_impacts, rho, limit) for number in tried)
+        if excluded[pieces]:
+            status = f"proven infeasible with up to {max_impacts} impacts and the least of the planner's reserves"
+            failure = Infeasible(f"plan of {scenario.name}", status, "allow more impacts or time")
+            trials.append(Trial(Attempt(pieces, options.halvings), failure))
+    return excluded[pieces]
+
+
+def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Trial]) -> Iterator[Attempt]:
+    """Yield the attempts in the order in which they are made.
+
+    Several objects are first tried with few impacts and each of the reserves: to exclude all the other numbers takes
+    long where the reserves leave no room. Of these attempts those come first in which objects are moved as each would
+    be alone, or one after another: that takes seconds, and less reserves often suffice where longer sequences would
+    have to be searched with all of them. Where the event grid has no plan, robots whose thrust limits their legs may
+    take longer to become faster. Legs get more pieces where it has no plan without: first as many as the shortest ways
+    round obstacles have, with each of the reserves; when these have failed as well, all other numbers.
+    """
+    needed = count_pieces(task.scenario, task.demands, task.reserves.wall) if options.thorough else None
+    more = range(max(options.pieces) + 1, options.most_pieces + 1) if options.thorough else ()
+    first = [pieces for pieces in more if needed is not None and needed <= pieces <= needed + 1]
+    first = first if needed is not None and needed > max(options.pieces) else []
+    several = options.thorough and options.few is not None and len(task.scenario.objects) > 1
+    kinds = [(True, True), (True, False), (False, None)] if several else [(False, None)]
+    for (few, simple), halvings in itertools.product(kinds, range(options.halvings + 1)):
+        attempt = Attempt(options.pieces, halvings, few, simple=simple)
+        yield from _skip_proven(attempt, trials)
+        if trials and trials[-1].rho is None:
+            if options.thorough and attempt.is_slow(task):
+                yield from _skip_proven(replace(attempt, brisk=True), trials)
+            for number in first:
+                yield from _skip_proven(replace(attempt, pieces=(number,)), trials)
+    if all(trial.rho is None for trial in trials):
+        rest = [(pieces,) for pieces in more if pieces not in first]
+        for halvings, pieces in itertools.product(range(options.halvings + 1), rest):
+            attempt = Attempt(pieces, halvings)
+            yield from (attempt, replace(attempt, brisk=True)) if attempt.is_slow(task) else (attempt,)
+
+
+def _skip_proven(attempt: Attempt, trials: Sequence[Trial]) -> Iterator[Attempt]:
+    """Yield the attempt, unless some object has no plan even alone: what takes longer does not change that."""
+    before = replace(attempt, simple=True)
+    known = [trial for trial in trials if trial.attempt == before and isinstance(trial.error, Infeasible)]
+    if attempt.simple is not False or not known:
+        yield attempt
