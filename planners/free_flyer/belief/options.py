@@ -136,7 +136,7 @@ class Aim:
     hastenings: CountOrNone = 12  # so often at most: down to a seventh of the flight's time
     via: Share = 0.4  # share of the depth by which a place that a flight has to pass may be missed
     bend: float = 0.25  # from the straight way that a drifting object may fly, at most half the next knot's depth [m]
-    cruise: float = 0.2  # speed at which any leg can be flown [m/s],
+    cruise: float = 0.15  # speed at which any leg can be flown [m/s],
     hurry: float = 1.15  # or so many times the plan's, where the plan itself is faster,
     fastest: Share = 0.95  # up to this share of the object's limit
     shares: Count = 20  # of the way to the plan's end that are tried,
