@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 
 from impact_envs.domain import find_part
 from impact_envs.errors import InputError
-from impact_envs.scenario import load_scenario
+from impact_envs.scenario import list_scenarios, load_scenario
 
 
 @dataclass
@@ -32,7 +32,7 @@ class Command:
 
     def run(self) -> dict[str, Any]:
         """Return every check with what was found, and the robustness at the samples and over continuous time."""
-        loaded = load_scenario(self.scenario or read_scenario_name(self.plan))
+        loaded = load_scenario(self.scenario or find_scenario(self.plan))
         scenario = loaded.suite(self.suite)
         certify = find_part("planners", scenario.domain, "CERTIFICATE")
         if certify is None:
@@ -45,6 +45,20 @@ class Command:
                 "its responses to meet the object is found in flight, and is not in the file"
             )
         return result
+
+
+def find_scenario(path: Path) -> str:
+    """Return the name of the shipped scenario that a plan file is for.
+
+    Raises:
+        InputError: the file cannot be read, names none, or another one.
+    """
+    name = read_scenario_name(path)
+    if name not in list_scenarios():
+        raise InputError(
+            f"plan file {path}: scenario '{name}' is not a shipped one; name its file: --scenario FILE.toml"
+        )
+    return name
 
 
 def read_scenario_name(path: Path) -> str:

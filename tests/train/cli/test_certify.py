@@ -120,3 +120,14 @@ def test_bad_input_is_one_line_and_exit_code_2(case, capsys):
     assert len(err.strip().splitlines()) == 1, err
     for word in words:
         assert word in err
+
+
+def test_plan_of_a_task_of_ones_own_asks_for_its_file(capsys, tmp_path):
+    plan = json.loads((PLANS / "throw_and_catch.json").read_text()) | {"scenario": "my_task"}
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(plan))
+    assert run(capsys, "certify", path) == (
+        2,
+        "",
+        f"impact: plan file {path}: scenario 'my_task' is not a shipped one; name its file: --scenario FILE.toml\n",
+    )

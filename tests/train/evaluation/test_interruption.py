@@ -48,6 +48,7 @@ import numba
 from train.launch.ending import end_on_sigterm
 from train.watch import exit_codes
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # what a shell starts in the background ignores it
 find, calls = llvm.ExecutionEngine._find_module_ptr, []
 
 def find_and_end(engine, pointer):
