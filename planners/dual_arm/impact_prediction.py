@@ -122,6 +122,9 @@ def place_arms(
 
     Returns:
         Angles and rates, shapes (2, 3) [rad], [rad/s].
+
+    Raises:
+        InputError: an arm is stretched there, so that no rates give the velocity.
     """
     box = scenario.box.start.array
     field = make_ante_field(scenario, controller)
@@ -132,7 +135,9 @@ def place_arms(
     pose, J, drift = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
     for i, arm in enumerate(scenario.arm_numbers()):
         compute_kinematics(arm, q[i], v[i], pose, J, drift)
-        _, *v[i] = find_rates(J, *compute_ante_velocity(field, i, pose[0], pose[1]), 0.0)
+        found, *v[i] = find_rates(J, *compute_ante_velocity(field, i, pose[0], pose[1]), 0.0)
+        if not found:
+            raise InputError(f"{scenario.name}: arm {i + 1} is stretched at the box: its pad cannot hit it as planned")
     return q, v
 
 
