@@ -11,7 +11,8 @@ from planners.budget import Budget, Work
 from planners.errors import PlanningError
 from planners.free_flyer.frame import Frame, find_frame
 from planners.free_flyer.nominal.ladder import climb_ladder
-from planners.free_flyer.nominal.task import PlanOptions
+from planners.free_flyer.nominal.screening import refuse_impossible, refuse_low_bound
+from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.central_hit import compute_shape_error
 from planners.free_flyer.specification.requirement import read_demands
@@ -63,9 +64,15 @@ def make_free_flyer_plan(
     check_solver(solver)
     if proof:
         options, time_limit = replace(options, search=replace(options.search, proof=proof)), time_limit + proof
-    read_demands(scenario, reserves.wall)  # formulas are refused in the user's words
+    demands = read_demands(scenario, reserves.wall)  # formulas are refused in the user's words
     scenario = scenario.model_copy(update={"weights": ()})  # nothing is given up, and sub-tasks have other conjuncts
     frame = find_frame(scenario)
+    if options.thorough:
+        refuse_impossible(NominalTask(scenario, demands, reserves, solver), max_impacts, options)
+        inside = frame.enter(scenario)
+        refuse_low_bound(
+            NominalTask(inside, read_demands(inside, reserves.wall), reserves, solver, None, frame), options
+        )
     # Wall time depends on the machine; the work done until it is over is told along with it.
     work = work or Work()
     plan = _plan_in_frame(frame.enter(scenario), max_impacts, time_limit, solver, reserves, options, work, frame)

@@ -1,4 +1,4 @@
-"""Quick proofs that a task has no plan: not even one in which bodies pass through each other, or through walls."""
+"""Quick proofs that a task has no plan: by places, times and speeds alone, or even where nothing is in the way."""
 
 from __future__ import annotations
 
@@ -11,12 +11,59 @@ import numpy as np
 from impact_envs.stl import Predicate
 from planners.budget import read_clock
 from planners.errors import Infeasible, SolverFailed
+from planners.free_flyer.frame import find_frame
+from planners.free_flyer.nominal.attempt import Attempt
 from planners.free_flyer.nominal.several_objects.sequence_search import restrict_to_object
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
+from planners.free_flyer.nominal.verdict import describe_share
 from planners.free_flyer.specification.grid import GridSize
+from planners.free_flyer.specification.impossibility import find_impossibility
+from planners.free_flyer.specification.reach import Kept
 from planners.free_flyer.specification.requirement import Demands, read_demands
-from planners.free_flyer.specification.robustness_bound import compute_geometric_bound
+from planners.free_flyer.specification.robustness_bound import compute_bounds, compute_geometric_bound
 from planners.solvers import solve
+
+
+def refuse_impossible(task: NominalTask, max_impacts: int, options: PlanOptions) -> None:
+    """Raise if places, times and speeds alone tell why a task has no plan.
+
+    What no plan of any kind can do is told first, then what none can do that keeps the least of the reserves.
+
+    Args:
+        task: in the user's units, with all reserves.
+        max_impacts: greatest number of impacts.
+        options: how far reserves are cut.
+
+    Raises:
+        Infeasible: no plan; says why, with names and numbers.
+    """
+    problem, scenario, length = f"plan of {task.scenario.name}", task.scenario, find_frame(task.scenario).length
+    least = Attempt((1,), options.halvings).cut_reserves(task, options).reserves
+    first, gap, _ = least.times(scenario.horizon)
+    kept = Kept(least.wall * length, min(first, gap) if scenario.starts_moving else first)
+    share = describe_share(options.halvings)
+    in_hand = (
+        f" (with {share} of the planner's reserves: {kept.wall:.3g} m from walls, {kept.first:.3g} s before impacts)"
+    )
+    for reserves, told in ((Kept(), ""), (kept, in_hand)):
+        why = find_impossibility(scenario, task.demands, max_impacts, reserves)
+        if why is not None:
+            raise Infeasible(problem, f"proven infeasible: {why.reason}{told}", why.remedy)
+
+
+def refuse_low_bound(task: NominalTask, options: PlanOptions) -> None:
+    """Raise if fixed starts, goals and areas leave some conjunct of a formula less than the least robustness.
+
+    Raises:
+        Infeasible: no plan; names the conjunct.
+    """
+    for text, bound in compute_bounds(task.scenario, task.demands, task.solver).items():
+        if bound < options.least:
+            said, most = task.frame.leave_formula(text), bound * task.frame.length
+            status = (
+                f"proven infeasible: fixed starts, goals and areas allow '{said}' a robustness of {most:.3g} m at most"
+            )
+            raise Infeasible(f"plan of {task.scenario.name}", status, "move them, or relax the formula")
 
 
 def exclude_size(task: NominalTask, size: GridSize, rho: tuple[float, float], time_limit: float) -> None:

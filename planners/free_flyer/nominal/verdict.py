@@ -66,13 +66,17 @@ def judge_trials(
     return SolverFailed(problem, status, f"{remedy}, give robots more thrust, or relax the formula")
 
 
+def describe_share(halvings: int) -> str:
+    """Return which share of the reserves is left when they were halved so often, in words."""
+    return SHARES.get(halvings, f"1/{2**halvings}")
+
+
 def describe_reserves(task: NominalTask, halvings: int) -> str:
     """Return the reserves that a plan must keep, in words and in the user's units."""
     reserves, length = task.reserves, task.frame.length
     first, gap, last = reserves.times(task.scenario.horizon)
-    share = SHARES.get(halvings, f"1/{2**halvings}")
     return (
-        f"{share} of the planner's reserves: {reserves.clearance * length:.3g} m between bodies, "
+        f"{describe_share(halvings)} of the planner's reserves: {reserves.clearance * length:.3g} m between bodies, "
         f"{reserves.wall * length:.3g} m from walls, {first:.3g} s before, {gap:.3g} s between and "
         f"{last:.3g} s after impacts, robots' legs at {100 * reserves.speed:.0f} % of the speed limit, or what they "
         f"reach within {reserves.turn:g} s"
@@ -80,9 +84,7 @@ def describe_reserves(task: NominalTask, halvings: int) -> str:
 
 
 def _name_reserves(trials: Sequence[Trial]) -> str:
-    names = list(
-        dict.fromkeys(SHARES.get(trial.attempt.halvings, f"1/{2**trial.attempt.halvings}") for trial in trials)
-    )
+    names = list(dict.fromkeys(describe_share(trial.attempt.halvings) for trial in trials))
     return f"{' or '.join(names)} of the planner's reserves"
 
 

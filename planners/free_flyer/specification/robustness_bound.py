@@ -31,9 +31,13 @@ def compute_geometric_bound(scenario: FreeFlyerScenario, demands: Demands, solve
     Returns:
         Upper bound of the robustness [m].
     """
+    return min([scenario.world.diagonal, *compute_bounds(scenario, demands, solver).values()])
+
+
+def compute_bounds(scenario: FreeFlyerScenario, demands: Demands, solver: str = "highs") -> dict[str, float]:
+    """Return, by conjunct, a robustness that no plan of any kind can exceed [m]; arguments as above."""
     bound = _Bound(scenario, demands, solver)
-    values = [bound.least(formula, 0.0, 0.0) for formula in demands.conjuncts.values()]
-    return min([scenario.world.diagonal, *values])
+    return {text: bound.least(formula, 0.0, 0.0) for text, formula in demands.conjuncts.items()}
 
 
 class _Bound:

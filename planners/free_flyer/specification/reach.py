@@ -1,0 +1,155 @@
+"""How soon bodies can be where: speeds, ways and waits that no plan can do better than.
+
+Nothing but what every plan keeps counts: speed limits, the impact law, the world's edge and solid obstacles; robots do
+not turn, hits are where they like, other bodies are in nobody's way.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
+from impact_envs.physics.impact import compute_mass_fractions
+from impact_envs.stl import In, Predicate
+from planners.free_flyer.specification.convex_polygon import clip, list_faces, make_box
+from planners.free_flyer.specification.least_way import ROUNDED, FreeSpace, grow
+from planners.free_flyer.specification.requirement import Demands
+
+FORGIVEN = 10.0 * ROUNDED  # by which places and ways may miss what is asked, of the world's largest side
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Hold what a plan keeps in hand; nothing: what no plan of any kind can do without.
+
+    Args:
+        wall: distance from the world's edge and solid obstacles beyond touching [m].
+        first: least time before an object at rest is hit [s].
+    """
+
+    wall: float = 0.0
+    first: float = 0.0
+
+
+@dataclass
+class Reach:
+    """Tell how soon bodies can be where.
+
+    Args:
+        scenario: bodies, limits, world.
+        demands: of its formula.
+        kept: in hand.
+        held: predicates that hold over the whole horizon, by body.
+    """
+
+    scenario: FreeFlyerScenario
+    demands: Demands
+    kept: Kept
+    held: dict[str, tuple[Predicate, ...]]
+    _spaces: dict[str, FreeSpace] = field(default_factory=dict)
+    _waits: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def forgiven(self) -> float:
+        """Return the length by which a place may be missed [m]."""
+        world = self.scenario.world
+        return FORGIVEN * float(np.subtract(world.upper, world.lower).max())
+
+    def space(self, name: str) -> FreeSpace:
+        """Return where a body's centre may be at any time."""
+        if name not in self._spaces:
+            self._spaces[name] = self.make_space(name, self.scenario.body(name).radius)
+        return self._spaces[name]
+
+    def make_space(self, name: str, radius: float) -> FreeSpace:
+        """Return where a body's centre might be, were it of another radius [m]."""
+        scenario, body, inset = self.scenario, self.scenario.body(name), radius + self.kept.wall
+        fixed = [np.array(body.start)]
+        if isinstance(body, Robot) and body.goal is not None:
+            fixed.append(np.array(body.goal))
+        lower = np.minimum(np.array(scenario.world.lower) + inset, np.min(fixed, axis=0))
+        upper = np.maximum(np.array(scenario.world.upper) - inset, np.max(fixed, axis=0))
+        box, obstacles = make_box(lower, upper), []
+        for area, obstacle in scenario.obstacles.items():
+            if obstacle.solid:
+                corners = np.array(obstacle.corners)
+                faces, bounds = list_faces(corners)
+                # A body may start nearer than what plans keep.
+                gap = min(float((faces @ place - bounds).max()) for place in fixed)
+                obstacles.append((area, grow(corners, max(0.0, min(inset, gap)))))
+        for predicate in self.held.get(name, ()):
+            need = self.demands.predicates[predicate]
+            if need.kind == "stay" and not need.others:
+                box = clip(box, need.faces, need.bounds + self.forgiven)
+            elif isinstance(predicate, In) and predicate.negated:
+                obstacles.append((predicate.area, np.array(scenario.areas[predicate.area].corners)))
+        return FreeSpace(np.array(body.start), box, obstacles)
+
+    def speed(self, name: str) -> float:
+        """Return the greatest speed per axis [m/s].
+
+        An object that is hit at speed v by a robot at w leaves at m3 w + (1 - m3) v: it is never faster than
+        c = max_R m3 w / (1 - |1 - m3|), and at least as fast as it starts.
+        """
+        body = self.scenario.body(name)
+        if isinstance(body, Robot):
+            return max(body.speed_limit, *map(abs, body.start_velocity))
+        given = 0.0
+        for robot in self.scenario.robots.values():
+            _, _, m3, m4 = compute_mass_fractions(robot.mass, body.mass, self.scenario.believed.restitution)
+            fastest = max(robot.speed_limit, *map(abs, robot.start_velocity))
+            given = max(given, m3 * fastest / (1.0 - abs(m4)) if abs(m4) < 1.0 else math.inf)
+        return max(min(body.speed_limit, given), *map(abs, body.start_velocity))
+
+    def wait(self, name: str) -> float:
+        """Return the time before which a body stays where it starts [s]: an object waits for its first impact."""
+        if name in self.scenario.robots or any(self.scenario.objects[name].start_velocity):
+            return 0.0
+        if name not in self._waits:
+            arrivals = [self._measure_arrival(robot, name) for robot in self.scenario.robots]
+            self._waits[name] = max(self.kept.first, min(arrivals, default=math.inf))
+        return self._waits[name]
+
+    def _measure_arrival(self, name: str, struck: str) -> float:
+        """Return the least time in which a robot comes to touch an object that rests at its start [s]."""
+        robot, body = self.scenario.robots[name], self.scenario.objects[struck]
+        space, reach = self.space(name), robot.radius + body.radius + self.forgiven
+        place = np.array(body.start)
+        faces, bounds = list_faces(space.box) if len(space.box) > 2 else (np.zeros((0, 2)), np.zeros(0))
+        way = space.measure(clip(make_box(place - reach, place + reach), faces, bounds))
+        way, fastest = max(0.0, way - self.forgiven), self.speed(name)
+        if not math.isfinite(way) or any(robot.start_velocity) or len(self.scenario.objects) > 1:
+            return way / fastest  # what it hit before may have made it fast
+        strength = robot.force_limit / robot.mass
+        if way < fastest**2 / (2.0 * strength):
+            return math.sqrt(2.0 * way / strength)
+        return way / fastest + fastest / (2.0 * strength)
+
+    def arrive(self, name: str, place: np.ndarray) -> tuple[float, float]:
+        """Return the length of a body's least way into a place, and the time at which it can be there [m, s]."""
+        way = max(0.0, self.space(name).measure(place) - self.forgiven)
+        return (way, 0.0) if way == 0.0 else (way, self.wait(name) + way / self.speed(name))
+
+    def find_closing(self, name: str, place: np.ndarray) -> tuple[list[str], float]:
+        """Return which obstacles alone close all ways into a place, and the widest gap that they leave [m]."""
+        names = dict.fromkeys(area for area, _ in self.space(name).obstacles)
+        closing = [area for area in names if math.isfinite(self.space(name).without(area).measure(place))]
+        low, high = 0.0, self.scenario.body(name).radius
+        for _ in range(10):
+            middle = 0.5 * (low + high)
+            if math.isfinite(self.make_space(name, middle).measure(place)):
+                low = middle
+            else:
+                high = middle
+        return closing, 2.0 * (low + self.kept.wall) if low > 0.0 else 0.0
+
+
+def list_held(predicates: Iterable[Predicate]) -> dict[str, tuple[Predicate, ...]]:
+    """Return predicates about one body by body."""
+    own = sorted(((one.bodies()[0], one) for one in predicates if len(one.bodies()) == 1), key=lambda pair: pair[0])
+    return {name: tuple(one for _, one in pairs) for name, pairs in itertools.groupby(own, key=lambda pair: pair[0])}
