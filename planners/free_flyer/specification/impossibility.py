@@ -121,10 +121,10 @@ class _Examiner:
         return need.kind == "stay" and need.bodies == (name,)
 
     def _cut(self, place: np.ndarray, predicates: Sequence[Predicate]) -> np.ndarray:
-        """Return the part of a place in which predicates about one body hold."""
+        """Return the part of a place in which predicates about one body hold with some robustness, as plans have."""
         for predicate in predicates:
             need = self.demands.predicates[predicate]
-            place = clip(place, need.faces, need.bounds + self.reach.forgiven)
+            place = clip(place, need.faces, need.bounds - self.reach.forgiven)
         return place
 
     def _list_holding(self, call: Call) -> Iterator[tuple[Predicate, str]]:
@@ -158,7 +158,7 @@ class _Examiner:
         for predicate, when in self._list_holding(call):
             if isinstance(predicate, In) and predicate.negated:
                 faces, bounds = self.scenario.areas[predicate.area].halfspaces()
-                if (place @ faces.T - bounds < -self.reach.forgiven).all():
+                if (place @ faces.T - bounds < -0.5 * self.reach.forgiven).all():
                     never = f"{call.body} has to be {call.said} {call.when}, but {say_place(predicate)} {when}"
                     return Impossibility(f"{never}: {predicate.area} covers that place", MOVE)
         for area, obstacle in self.scenario.obstacles.items():
@@ -197,7 +197,8 @@ class _Examiner:
 
     def _check_predicates(self) -> Impossibility | None:
         """Return a distance that no two bodies can have."""
-        for predicate in dict.fromkeys(one.predicate for one in (*self.visits, *self.stays)):
+        every = [visit.predicate for visit in self.visits] + [stay.predicate for stay in self.stays]
+        for predicate in dict.fromkeys(every):
             if isinstance(predicate, Distance) and predicate.is_upper and predicate.a != predicate.b:
                 least = self.scenario.body(predicate.a).radius + self.scenario.body(predicate.b).radius
                 if predicate.bound < least - self.reach.forgiven:
@@ -247,16 +248,27 @@ class _Examiner:
         return replace(call, start=max(call.start, time))
 
     def _tell_closed(self, call: Call) -> Impossibility:
-        names, gap = self.reach.find_closing(call.body, call.place)
-        size = 2.0 * (self.scenario.body(call.body).radius + self.reach.kept.wall)
-        way = f"there is no way for {call.body} from its start to be {call.said}"
+        told = f"there is no way for {call.body} from its start to be {call.said}"
+        return Impossibility(f"{told}: it is closed by {self._say_closed(call.body, call.place)}", "open a way")
+
+    def _say_closed(self, name: str, place: np.ndarray) -> str:
+        """Return what closes all ways of a body into a place."""
+        names, gap = self.reach.find_closing(name, place)
+        size = 2.0 * (self.scenario.body(name).radius + self.reach.kept.wall)
         by = " and ".join(names) if names else "obstacles and areas that it avoids at all times"
         through = f"the widest gap is {gap:.3g} m, it needs {size:.3g} m" if gap else "without a gap"
-        return Impossibility(f"{way}: {by} {'closes' if len(names) == 1 else 'close'} it, {through}", "open a way")
+        return f"{by}, {through}"
 
     def _tell_unmoved(self, call: Call) -> Impossibility:
         told = f"{call.body} has to be {call.said} {call.when}, but no robot can reach {call.body} to hit it"
-        return Impossibility(told, "open a way from a robot to it, or move a robot")
+        ways = [
+            f"the way of {name} is closed by {self._say_closed(name, place)}"
+            for name in self.scenario.robots
+            if len(place := self.reach.find_touch(name, call.body))
+        ]
+        return Impossibility(
+            ": ".join((told, " and ".join(ways[:2]))), "open a way from a robot to it, or move a robot"
+        )
 
     def _tell_late(self, call: Call, way: float, time: float) -> Impossibility:
         body, speed, wait = call.body, self.reach.speed(call.body), self.reach.wait(call.body)

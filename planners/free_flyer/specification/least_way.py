@@ -15,7 +15,7 @@ import numpy as np
 
 from planners.free_flyer.specification.convex_polygon import clip, find_nearest, list_faces, measure_distance
 
-ROUNDED = 1e-6  # by which obstacles count smaller, of the largest side of the world
+ROUNDED = 1e-7  # by which obstacles count smaller, of the largest side of the world
 GRAZE = 1e-9  # share of a line that may lie in an obstacle
 
 

@@ -97,11 +97,13 @@ def list_alternatives(formulas: Iterable[Formula]) -> list[Alternative]:
 def _combine(parts: Sequence[list[Alternative]]) -> list[Alternative]:
     """Return the alternatives of a conjunction of parts."""
     kept = sorted(range(len(parts)), key=lambda k: len(parts[k]))
-    count, chosen = 1, []
+    count = 1
+    chosen: list[int] = []
     for k in kept:
         if count * len(parts[k]) > MOST_ALTERNATIVES:
             break
-        count, chosen = count * len(parts[k]), [*chosen, k]
+        count *= len(parts[k])
+        chosen.append(k)
     return [tuple(itertools.chain(*one)) for one in itertools.product(*(parts[k] for k in sorted(chosen)))]
 
 

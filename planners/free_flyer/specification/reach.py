@@ -20,7 +20,8 @@ from planners.free_flyer.specification.convex_polygon import clip, list_faces, m
 from planners.free_flyer.specification.least_way import ROUNDED, FreeSpace, grow
 from planners.free_flyer.specification.requirement import Demands
 
-FORGIVEN = 10.0 * ROUNDED  # by which places and ways may miss what is asked, of the world's largest side
+# By which ways may be longer than what is told, of the world's largest side; less than the robustness that plans have.
+FORGIVEN = 10.0 * ROUNDED
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class Reach:
         for predicate in self.held.get(name, ()):
             need = self.demands.predicates[predicate]
             if need.kind == "stay" and not need.others:
-                box = clip(box, need.faces, need.bounds + self.forgiven)
+                box = clip(box, need.faces, need.bounds)
             elif isinstance(predicate, In) and predicate.negated:
                 obstacles.append((predicate.area, np.array(scenario.areas[predicate.area].corners)))
         return FreeSpace(np.array(body.start), box, obstacles)
@@ -117,18 +118,21 @@ class Reach:
 
     def _measure_arrival(self, name: str, struck: str) -> float:
         """Return the least time in which a robot comes to touch an object that rests at its start [s]."""
-        robot, body = self.scenario.robots[name], self.scenario.objects[struck]
-        space, reach = self.space(name), robot.radius + body.radius + self.forgiven
-        place = np.array(body.start)
-        faces, bounds = list_faces(space.box) if len(space.box) > 2 else (np.zeros((0, 2)), np.zeros(0))
-        way = space.measure(clip(make_box(place - reach, place + reach), faces, bounds))
-        way, fastest = max(0.0, way - self.forgiven), self.speed(name)
+        robot, fastest = self.scenario.robots[name], self.speed(name)
+        way = max(0.0, self.space(name).measure(self.find_touch(name, struck)) - self.forgiven)
         if not math.isfinite(way) or any(robot.start_velocity) or len(self.scenario.objects) > 1:
             return way / fastest  # what it hit before may have made it fast
         strength = robot.force_limit / robot.mass
         if way < fastest**2 / (2.0 * strength):
             return math.sqrt(2.0 * way / strength)
         return way / fastest + fastest / (2.0 * strength)
+
+    def find_touch(self, name: str, struck: str) -> np.ndarray:
+        """Return a box that holds all places from which a robot touches an object at its start, shape (n, 2) [m]."""
+        place, box = np.array(self.scenario.body(struck).start), self.space(name).box
+        reach = self.scenario.body(name).radius + self.scenario.body(struck).radius + self.forgiven
+        faces, bounds = list_faces(box) if len(box) > 2 else (np.zeros((0, 2)), np.zeros(0))
+        return clip(make_box(place - reach, place + reach), faces, bounds)
 
     def arrive(self, name: str, place: np.ndarray) -> tuple[float, float]:
         """Return the length of a body's least way into a place, and the time at which it can be there [m, s]."""

@@ -5,10 +5,12 @@ import pytest
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import build_scenario
+from planners.budget import Work
 from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
 from planners.free_flyer.nominal.ways import count_pieces, find_way
 from planners.free_flyer.specification.requirement import read_demands
+from tests.planners.free_flyer.plans import load
 
 
 def _body(start: tuple[float, float], **more: object) -> dict[str, object]:
@@ -66,11 +68,23 @@ def test_a_maze_is_planned_with_as_many_pieces_as_its_way_has() -> None:
 
 
 def test_a_proof_names_the_restrictions_it_holds_for() -> None:
+    hurried = load("throw_and_catch", horizon=13.0, formula="G[13,13] pop in goal")
     with pytest.raises(Infeasible) as error:
-        make_free_flyer_plan(_maze(0.3), max_impacts=1)
+        make_free_flyer_plan(hurried, max_impacts=2)
     text = str(error.value)
-    assert text.startswith("plan of maze: proven infeasible with up to 1 impacts, 6 straight pieces a leg and ")
+    assert text.startswith("plan of throw_and_catch: proven infeasible with up to 2 impacts, 6 straight pieces a leg")
     assert "a quarter of the planner's reserves: 0.05 m between bodies, 0.05 m from walls" in text
+
+
+@pytest.mark.parametrize(("gap", "told"), [(0.3, "it needs 0.4 m;"), (0.45, "it needs 0.5 m (with a quarter of the")])
+def test_a_robot_that_cannot_come_to_its_object_is_named_at_once(gap: float, told: str) -> None:
+    work = Work()
+    with pytest.raises(
+        Infeasible, match="no robot can reach pop to hit it: the way of snap is closed by upper, the widest gap"
+    ) as error:
+        make_free_flyer_plan(_maze(gap), work=work)
+    assert told in str(error.value)
+    assert work.done == 0.0
 
 
 def test_out_of_time_nothing_is_proven_and_the_limit_is_named() -> None:
