@@ -78,6 +78,11 @@ def watch_planning(tell: Callable[[Budget, str | None], None]) -> Iterator[None]
         _WATCHER.reset(token)
 
 
+def count_things(number: int, name: str) -> str:
+    """Return a number with the name of what is counted."""
+    return f"no {name}s yet" if not number else f"{number} {name}{'s' * (number > 1)}"
+
+
 @dataclass
 class Progress:
     """Hold what planning has come to, for whoever watches; lengths in the user's units.
@@ -97,7 +102,9 @@ class Progress:
     bound: float | None = None
 
     def __str__(self) -> str:
-        size = "" if self.impacts is None else f"{self.impacts} impacts, {self.pieces} pieces a leg"
+        size = ""
+        if self.impacts is not None:
+            size = f"{count_things(self.impacts, 'impact')}, {count_things(self.pieces or 1, 'piece')} a leg"
         found = "" if self.robustness is None else f"robustness {self.robustness:.4g} m"
         bound = "" if self.bound is None else f"{'of ' if found else ''}at most {self.bound:.4g} m"
         return ", ".join(part for part in (self.about, size, f"{found} {bound}".strip()) if part)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from impact_envs.free_flyer.truth import (
     BODY_COLUMNS,
@@ -62,6 +62,18 @@ Engine = Literal["exact", "pymunk"]
 TOUCHING = 1e-9
 # The slowest speed limit over this, and at most this [m/s], is the default of World.rest_speed.
 REST_FRACTION, MOST_REST_SPEED = 2000.0, 1e-4
+# Of moments of inertia and torques, which take lengths twice: where lengths and masses are told in thousandths or in
+# thousands they are 1e9 or 1e-9 times as large.
+SMALLEST_MOMENT, LARGEST_MOMENT = 1e-18, 1e18
+
+
+def _check_moment(number: float) -> float:
+    if number < SMALLEST_MOMENT:
+        raise ValueError(f"{number:g} is below {SMALLEST_MOMENT:g}, the smallest number above 0")
+    return number
+
+
+PositiveMoment = Annotated[float, Field(gt=0, le=LARGEST_MOMENT, allow_inf_nan=False), AfterValidator(_check_moment)]
 
 
 class World(Box):
@@ -86,7 +98,7 @@ class Body(Table):
     start_velocity: Vector = (0.0, 0.0)  # of the geometric centre at the start [m/s]
     heading: Finite = 0.0  # [rad]
     mass: Positive  # [kg]
-    inertia: Positive  # about the centre of mass [kg m^2]
+    inertia: PositiveMoment  # about the centre of mass [kg m^2]
     radius: Positive  # of the disc, or of the circle round the polygon [m]
     speed_limit: Positive  # per axis [m/s]
     curves: Annotated[int, Field(ge=1, le=100)] | None = None  # of the published encoding; unset: its own numbers
@@ -97,7 +109,7 @@ class Robot(Body):
 
     goal: Vector | None = None  # where it must rest at the horizon [m]
     force_limit: Positive  # per body axis [N]
-    torque_limit: Positive  # [N m]
+    torque_limit: PositiveMoment  # [N m]
 
     @property
     def start_rate(self) -> float:
@@ -282,9 +294,9 @@ class FreeFlyerScenario(Scenario):
     def _placed(self) -> Self:
         if not self.robots:
             raise ValueError("robots: at least one is needed")
-        shared = set(self.robots) & set(self.objects) | set(self.regions) & set(self.obstacles)
-        if shared:
-            raise ValueError(f"'{sorted(shared)[0]}' names two things")
+        for one, other in (("robots", "objects"), ("regions", "obstacles")):
+            for name in sorted(set(getattr(self, one)) & set(getattr(self, other))):
+                raise ValueError(f"'{name}' names both {one}.{name} and {other}.{name}; give one of them another name")
         for name in self.bodies:
             self._check_inside(name)
         names = self.bodies

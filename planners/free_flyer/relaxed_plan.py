@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,14 +15,16 @@ from impact_envs.stl import Formula
 from planners.budget import Budget, Work
 from planners.errors import PlanningError
 from planners.free_flyer.frame import find_frame
+from planners.free_flyer.given_up import GivenUp, list_given_up, measure, measure_missed
 from planners.free_flyer.nominal.diagnosis import find_relaxation, list_amounts
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
-from planners.free_flyer.nominal.task import NominalTask, PlanOptions
+from planners.free_flyer.nominal.task import NominalTask, PlanOptions, find_most_impacts
 from planners.free_flyer.nominal.ways import count_pieces
 from planners.free_flyer.reserves import Reserves
+from planners.free_flyer.specification.impossibility import find_impossibility
 from planners.free_flyer.specification.loosening import list_conjuncts, loosen
+from planners.free_flyer.specification.reach import Kept
 from planners.free_flyer.specification.requirement import read_demands
-from planners.free_flyer.validation import compute_robustness
 from planners.plan import Plan
 
 
@@ -31,27 +35,21 @@ class RelaxationOptions:
     Args:
         unrelaxed: share of the time for a plan that gives up nothing.
         finding: share of the time left for the least loosening.
+        slacks: factors of the time that legs lose by starting and stopping, tried in turn: without it impacts come
+            earliest, and whether robots are that quick is found out when motions are smoothed.
         factors: of this loosening, tried in turn: the least one leaves motions no room.
         room: by which what is loosened is loosened more, in a world of robots of 0.2 m [m].
+        trial: share of the time left that one task more may take.
+        tolerance: share of what is given up within which less is no longer looked for.
     """
 
     unrelaxed: float = 0.3
-    finding: float = 0.4
-    factors: tuple[float, ...] = (1.0, 1.15, 1.5)
+    finding: float = 0.25
+    slacks: tuple[float, ...] = (0.0, 1.0)
+    factors: tuple[float, ...] = (1.0, 1.2, 1.5)
     room: float = 0.02
-
-
-@dataclass(frozen=True)
-class GivenUp:
-    """Say what a plan gives up of a formula.
-
-    Args:
-        conjunct: as the user wrote it.
-        missed: by how much it is missed [m].
-    """
-
-    conjunct: str
-    missed: float
+    trial: float = 0.5
+    tolerance: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -63,12 +61,17 @@ class RelaxedPlan:
         scenario: the relaxed task.
         given_up: conjuncts that the plan misses; empty: it gives up nothing.
         robustness: of the formula as it was asked [m].
+        bound: no plan misses its only conjunct that is given up by less; None: nothing is proven [m].
+        tried: plans that give up less, in the same proportions, were looked for down to this price and not found; the
+            weighted sum of metres [m].
     """
 
     plan: Plan
     scenario: FreeFlyerScenario
     given_up: tuple[GivenUp, ...]
     robustness: float
+    bound: float | None = None
+    tried: float = 0.0
 
 
 def make_relaxed_plan(
@@ -113,24 +116,130 @@ def make_relaxed_plan(
     reserves = Reserves()
     for _ in range(options.halvings):
         reserves = reserves.halved()
-    most = 3 + 3 * len(scenario.objects) if max_impacts is None else max_impacts
-    amounts = _find_amounts(scenario, prices, most, reserves, relaxation.finding * budget.left, solver, options)
-    if not any(amounts):
-        raise failure
-    room = relaxation.room * find_frame(scenario).length
-    for left, factor in zip(range(len(relaxation.factors), 0, -1), relaxation.factors, strict=True):
-        if budget.left <= 0.0:
-            break
-        task = loosen(scenario, [factor * amount + room if amount > 0.0 else 0.0 for amount in amounts])
+    calm = replace(options, diagnosis=0.0, halvings=0)
+    search = _Search(scenario, prices, given, reserves, calm, relaxation, budget, failure)
+    for slack in relaxation.slacks:
+        if budget.left > 0.0 and search.best is None:
+            search.find(slack)
+    return search.finish()
+
+
+@dataclass
+class _Search:
+    """Look for the plan that gives up least.
+
+    Args:
+        scenario: as it was asked for.
+        prices: of the conjuncts.
+        given: options of every plan.
+        reserves: that plans keep.
+        options: of plans.
+        relaxation: how the relaxed task is planned.
+        budget: time.
+        failure: the last one.
+        best: plan that gives up least so far.
+        task: of this plan.
+        least: greatest loosening of the only conjunct that is loosened that is proven to be too little [m].
+        low: greatest price for which a plan was looked for and not found.
+    """
+
+    scenario: FreeFlyerScenario
+    prices: Sequence[float]
+    given: dict[str, Any]
+    reserves: Reserves
+    options: PlanOptions
+    relaxation: RelaxationOptions
+    budget: Budget
+    failure: PlanningError
+    best: Plan | None = None
+    task: FreeFlyerScenario | None = None
+    least: float | None = None
+    low: float = 0.0
+
+    @property
+    def most_impacts(self) -> int:
+        """Return the greatest number of impacts."""
+        given = self.given["max_impacts"]
+        return find_most_impacts(self.scenario) if given is None else given
+
+    def find(self, slack: float) -> None:
+        """Find the least loosening, a plan with it or a little more, and then by bisection plans with less."""
+        relaxation = self.relaxation
+        reserves = replace(self.reserves, slack=slack * self.reserves.slack)
+        limit = relaxation.finding * self.budget.left
+        solver, scenario = self.given["solver"], self.scenario
         try:
-            calm = replace(brief, halvings=0)
-            part = budget.left / left
-            plan = make_free_flyer_plan(task, time_limit=part, reserves=reserves, options=calm, **given)  # type: ignore[arg-type]
+            amounts = _find_amounts(scenario, self.prices, self.most_impacts, reserves, limit, solver, self.options)
         except PlanningError as error:
-            failure = error
-            continue
-        return RelaxedPlan(plan, task, tuple(list_given_up(scenario, plan)), measure(scenario, plan))
-    raise failure
+            self.failure = error
+            return
+        total = self._price(amounts)
+        if total <= 0.0:
+            return
+        low = self._prove(amounts) * total
+        if sum(amount > 0.0 for amount in amounts) == 1:
+            self.least = low / self.prices[int(np.argmax(amounts))]
+        for factor in relaxation.factors:
+            if self._try([factor * amount for amount in amounts], reserves):
+                break
+            low = factor * total
+        while self.best is not None and self.budget.left > 0.0:
+            high = self._price([one.missed for one in measure_missed(scenario, self.best)])
+            if high - low <= relaxation.tolerance * high:
+                break
+            middle = 0.5 * (low + high)
+            if not self._try([middle / total * amount for amount in amounts], reserves):
+                low = middle
+        self.low = low
+
+    def _price(self, amounts: Sequence[float]) -> float:
+        """Return the price of missing conjuncts by so much."""
+        return sum(price * max(0.0, amount) for price, amount in zip(self.prices, amounts, strict=True))
+
+    def _prove(self, amounts: Sequence[float]) -> float:
+        """Return the greatest share of a loosening with which places, times and speeds still leave no plan."""
+        low, high = 0.0, 1.0
+        for _ in range(12):
+            middle = 0.5 * (low + high)
+            task = loosen(self.scenario, [middle * amount for amount in amounts])
+            demands = read_demands(task, self.reserves.wall)
+            if find_impossibility(task, demands, self.most_impacts, Kept()) is None:
+                high = middle
+            else:
+                low = middle
+        return low
+
+    def _try(self, amounts: Sequence[float], reserves: Reserves) -> bool:
+        """Return whether the loosened task has a plan that gives up less than the best one, and keep it."""
+        limit = self.relaxation.trial * self.budget.left
+        if limit <= 0.0:
+            return False
+        room = self.relaxation.room * find_frame(self.scenario).length
+        task = loosen(self.scenario, [amount + room if amount > 0.0 else 0.0 for amount in amounts])
+        try:
+            plan = make_free_flyer_plan(task, time_limit=limit, reserves=reserves, options=self.options, **self.given)
+        except PlanningError as error:
+            self.failure = error
+            return False
+        price, best = (
+            math.inf if one is None else self._price([part.missed for part in measure_missed(self.scenario, one)])
+            for one in (plan, self.best)
+        )
+        if price < best:
+            self.best, self.task = plan, task
+        return price < best
+
+    def finish(self) -> RelaxedPlan:
+        """Return the best plan.
+
+        Raises:
+            PlanningError: there is none.
+        """
+        if self.best is None or self.task is None:
+            raise self.failure
+        given_up = tuple(list_given_up(self.scenario, self.best))
+        bound = self.least if len(given_up) == 1 and self.least else None
+        return RelaxedPlan(self.best, self.task, given_up, measure(self.scenario, self.best), bound, self.low)
 
 
 def check_weights(weights: Sequence[float], conjuncts: Sequence[Formula]) -> list[float]:
@@ -171,26 +280,3 @@ def _find_amounts(
     pieces = min(count_pieces(inside, demands, reserves.wall) or 1, options.most_pieces)
     found = find_relaxation(task, most, options.least, time_limit, pieces, weights)
     return list_amounts(task, found)
-
-
-def list_given_up(scenario: FreeFlyerScenario, plan: Plan) -> list[GivenUp]:
-    """Return the conjuncts of a scenario's formula that a plan misses, with how much it misses them by.
-
-    Args:
-        scenario: as it was asked for.
-        plan: of its robots and objects.
-    """
-    found = []
-    for conjunct in list_conjuncts(scenario):
-        fields = {field: getattr(scenario, field) for field in FreeFlyerScenario.model_fields}
-        missed = -measure(FreeFlyerScenario(**fields | {"formula": str(conjunct)}), plan)
-        if missed > 0.0:
-            found.append(GivenUp(str(conjunct), missed))
-    return found
-
-
-def measure(scenario: FreeFlyerScenario, plan: Plan) -> float:
-    """Return the robustness of a scenario's formula over a plan's curves at the control steps [m]."""
-    times = np.linspace(0.0, scenario.horizon, round(scenario.horizon / scenario.control_period) + 1)
-    curves = plan.robots | plan.objects
-    return compute_robustness(scenario, times, {name: curve.position(times) for name, curve in curves.items()})

@@ -52,6 +52,11 @@ BAD = {
     "no sample in the interval": (CORRIDOR.replace("G[100,100] pop", "F[1.01,1.02] pop"), ["formula", "1.01"]),
     "unspeakable name": (CORRIDOR.replace("regions.goal", "regions.until"), ["until", "formula"]),
     "overlap": (CORRIDOR.replace("start = [1.0, 2.0]", "start = [1.0, 1.1]"), ["snap", "pop", "overlap"]),
+    "one name twice": (
+        CORRIDOR.replace("objects.pop", "objects.snap").replace("pop in goal", "snap in goal"),
+        ["'snap' names both robots.snap and objects.snap"],
+    ),
+    "enormous inertia": (CORRIDOR.replace("inertia = 0.1594", "inertia = 1e19", 1), ["robots.snap.inertia", "1e+19"]),
     "box upside down": (CORRIDOR.replace("upper = [3.0, 10.0]", "upper = [-3.0, 10.0]", 1), ["world", "lower"]),
     "restitution above 1": (
         CORRIDOR.replace("restitution = 0.8", "restitution = 1.8"),
@@ -87,6 +92,15 @@ def test_missing_file_and_unknown_name_say_the_choices():
         load_scenario("no/such.toml")
     with pytest.raises(ScenarioError, match=r"'coridor' is unknown; did you mean 'corridor'"):
         load_scenario("coridor")
+
+
+@pytest.mark.parametrize(("length", "mass"), [(1e3, 1e3), (1e-3, 1e-3), (1e3, 1e-3)])
+def test_other_units_are_taken(length, mass):
+    """A robot of 600 kg and 1 m: 300 kg m^2 are 3e11 g mm^2."""
+    unit = mass * length**2
+    values = {"inertia": 300.0 * unit, "torque_limit": 10.0 * unit, "mass": 600.0 * mass}
+    changed = load_scenario("corridor").override({f"robots.snap.{key}": value for key, value in values.items()})
+    assert changed.robots["snap"].inertia == pytest.approx(300.0 * unit)
 
 
 def test_override_validates_and_leaves_the_original():

@@ -37,6 +37,10 @@ COMMANDS = (
 )  # fmt: skip
 # Faults of the disk; some libraries do not say of which file.
 DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+# What tyro says of an option that takes a number and was given something else.
+NUMBER = re.compile(
+    r".*?Error parsing (--[\w-]+): .*?(\[[^\]]*\]|'[^']*')(?: Got errors.*)? Argument helptext: [^ ]+ \S*?(INT|FLOAT)"
+)
 
 
 class Command(Protocol):
@@ -147,6 +151,12 @@ def _one_line(box: str) -> str:
     kept = [line for line in lines if line and "--help" not in line and not line.startswith("For full helptext")]
     title, *rest = [re.sub(r"\s+", " ", line) for line in kept] or ["bad arguments"]
     # tyro lists choices without an order, and among them None where an option may be left out.
+    number = NUMBER.match(f"{title} {' '.join(rest)}")
+    if number:
+        option, given, kind = number.groups()
+        needed = "a whole number is needed" if kind == "INT" else "a number is needed"
+        values = " ".join(re.findall("'([^']*)'", given))
+        return f"{option} {values}: {needed}"
     text = re.sub(r"(?<=Expected one of )\(([^()]*)\)", _list_choices, " ".join(rest))
     return text if text.lower().startswith(title.lower()) or title == "Value error" else f"{title}: {text}"
 

@@ -12,6 +12,7 @@ from impact_envs.domain import find_part
 from impact_envs.errors import InputError
 from impact_envs.file import make_file_name, write_table
 from impact_envs.scenario import load_scenario
+from planners.budget import count_things
 from train.cli.progress import say_written, stop_on_interrupt
 from train.given_plan import load_plan
 from train.pictures.file import check_picture_path
@@ -19,6 +20,10 @@ from train.pictures.file import check_picture_path
 if TYPE_CHECKING:
     from planners.budget import Clock
     from planners.plan import Plan
+
+# Solvers stop within 1e-6 of the optimum; a gap of ten times this counts as none.
+PROVEN_GAP = 1e-5
+SEARCH_SHARE = 0.45  # of the time limit; once there is a plan, half of the time is kept for its motions
 
 
 @dataclass
@@ -96,7 +101,7 @@ class Command:
         with stop_on_interrupt() as clock:
             plan = make_plan(scenario, **options)
         self._write(scenario, plan)
-        return _summary(scenario, plan) | _judge(plan, clock)
+        return _summary(scenario, plan) | judge_plan(plan, clock, self.time_limit, self._find_most_impacts(scenario))
 
     def _check(self) -> None:
         """Refuse what cannot be written before anything is solved."""
@@ -131,6 +136,11 @@ class Command:
                 if path:
                     raise InputError(f"--encoding bezier prints its result; --{name} needs --encoding events")
 
+    def _find_most_impacts(self, scenario: Any) -> int:
+        from planners.free_flyer.nominal.task import find_most_impacts
+
+        return find_most_impacts(scenario) if self.max_impacts is None else self.max_impacts
+
     def _write(self, scenario: Any, plan: Plan) -> None:
         if self.out:
             plan.save(self.out)
@@ -150,12 +160,17 @@ class Command:
         with stop_on_interrupt() as clock:
             found = make_relaxed_plan(scenario.as_believed(), self.weights, **options)
         self._write(scenario, found.plan)
-        told = _summary(found.scenario, found.plan) | _judge(found.plan, clock)
+        told = _summary(found.scenario, found.plan) | judge_plan(
+            found.plan, clock, self.time_limit, self._find_most_impacts(scenario)
+        )
         if not found.given_up:
             return told | {"given_up": []}
         given_up = [{"conjunct": one.conjunct, "missed": one.missed} for one in found.given_up]
         relaxed = {"asked_robustness": found.robustness, "relaxed_formula": str(found.scenario.specification)}
-        return told | relaxed | {"verdict": "a plan of the relaxed task", "given_up": given_up}
+        limits = {} if found.bound is None else {"given_up_bound": found.bound}
+        if found.tried:
+            limits["given_up_tried"] = found.tried
+        return told | relaxed | {"verdict": "a plan of the relaxed task", "given_up": given_up} | limits
 
     def _plan_by_bezier(self, scenario: Any) -> dict[str, Any]:
         from planners.free_flyer.published.encoding import make_bezier_plan
@@ -199,7 +214,7 @@ def _summary(scenario: Any, plan: Plan) -> dict[str, Any]:
         "robustness": round(plan.robustness, 6),
         "continuous_robustness": None if between is None else round(between, 6),
         "bound": round(plan.bound, 6),
-        "gap": round(plan.gap, 6),
+        "gap": 0.0 if plan.gap <= PROVEN_GAP else round(plan.gap, 6),
         **deviation,
         **_describe_shapes(plan),
         "path_cost": plan.effort,
@@ -219,13 +234,25 @@ def _summary(scenario: Any, plan: Plan) -> dict[str, Any]:
     }
 
 
-def _judge(plan: Plan, clock: Clock) -> dict[str, Any]:
-    """Return the verdict in words, and whether planning was interrupted."""
+def judge_plan(plan: Plan, clock: Clock, time_limit: float, max_impacts: int) -> dict[str, Any]:
+    """Return the verdict in words, and whether planning was interrupted.
+
+    Args:
+        plan: as it was found.
+        clock: of planning.
+        time_limit: of planning [s].
+        max_impacts: greatest number of impacts that were allowed.
+    """
     if clock.stopped:
         return {"verdict": "interrupted: the best plan until then", "interrupted": True}
-    if plan.objective == "robustness" and plan.gap == 0.0:
+    if plan.objective != "robustness":
+        return {"verdict": "a plan, and what no plan exceeds"}
+    if plan.gap <= PROVEN_GAP:
         return {"verdict": "proven: no plan is more robust"}
-    return {"verdict": "a plan, and what no plan exceeds"}
+    why = f"with up to {count_things(max_impacts, 'impact')} and the planner's reserves no more was found"
+    if plan.solve_seconds >= SEARCH_SHARE * time_limit:
+        why = "the search for more ended with its part of the time; raise --time-limit"
+    return {"verdict": f"a plan with {plan.robustness:.3g} m, no plan has more than {plan.bound:.3g} m: {why}"}
 
 
 def _describe_shapes(plan: Plan) -> dict[str, Any]:

@@ -29,6 +29,8 @@ NAMES: dict[str, tuple[str, str]] = {
     "gap": ("gap: what is missing to that, over max(1 m, it)", ""),
     "asked_robustness": ("robustness of the formula as asked", "m"),
     "relaxed_formula": ("relaxed formula, areas renamed where they changed", ""),
+    "given_up_bound": ("no plan misses it by less than", "m"),
+    "given_up_tried": ("not found: plans that give up less than", "m"),
     "path_cost": ("path cost, sum of displacement² / duration", "m²/s"),
     "path_cost_bound": ("no plan as robust costs less than", "m²/s"),
     "effort": ("effort, sum of |force| dt", "N s"),

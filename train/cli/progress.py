@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +18,8 @@ from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task
 from rich.text import Text
 
 from planners.budget import Budget, Clock, use_clock, watch_planning
+
+REPORT_PERIOD = 10.0  # between two lines about planning, where standard error is no terminal [s]
 
 
 class _TimeLeft(ProgressColumn):
@@ -36,12 +40,53 @@ class _Stage(ProgressColumn):
         return Text(f"planning: {task.description}{come_to and ', ' + come_to},")
 
 
+class _Reporter:
+    """Write a line about planning now and then, where nothing can be shown in place."""
+
+    def __init__(self) -> None:
+        self._stages: list[tuple[Budget, str]] = []
+        self._about: Any = None  # whose plan is being made; its budgets tell of the same progress
+        self._since = 0.0
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._report, daemon=True)
+
+    def tell(self, budget: Budget, stage: str | None) -> None:
+        """Take a stage that begins, or the end of the last one."""
+        if stage is None:
+            del self._stages[-1:]
+            return
+        if budget.progress is not self._about:
+            self._about, self._since, self._stages = budget.progress, time.monotonic(), []
+        self._stages.append((budget, stage))
+        if not self._thread.is_alive() and not self._over.is_set():
+            self._thread.start()
+
+    def end(self) -> None:
+        """Write nothing more."""
+        self._over.set()
+
+    def _report(self) -> None:
+        while not self._over.wait(REPORT_PERIOD):
+            stages = self._stages[-1:]
+            # A plan that is made while an episode is flown takes no such time, or is told of by nobody.
+            if stages and time.monotonic() - self._since >= REPORT_PERIOD and math.isfinite(stages[0][0].limit):
+                budget, stage = stages[0]
+                seconds, come_to = time.monotonic() - self._since, str(budget.progress)
+                told = f"impact: planning for {seconds:.0f} s: {stage}{come_to and ', ' + come_to}"
+                print(f"{told}, {max(budget.left, 0.0):.0f} s left", file=sys.stderr, flush=True)
+
+
 @contextmanager
 def show_planning() -> Iterator[None]:
-    """Show stage, size, best, bound and time left of plans that are made inside, on a terminal; elsewhere nothing."""
+    """Show stage, size, best, bound and time left of plans made inside: in place on a terminal, else line by line."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield
+        reporter = _Reporter()
+        try:
+            with watch_planning(reporter.tell):
+                yield
+        finally:
+            reporter.end()
         return
     shown: list[Any] = []
 

@@ -32,7 +32,8 @@ from planners.free_flyer.certificate.state_formula import make_leaf, negate_boun
 from planners.free_flyer.certificate.track import Cell, Track, find_value, list_cells, make_track
 
 Interval = tuple[Fraction, Fraction]
-Bound = Callable[[Fraction, Fraction], Range]  # of a value for all times between two
+# Of the least of a value between two times; a third number is an upper bound of it that is known from elsewhere.
+Bound = Callable[[Fraction, Fraction, Fraction | None], Range]
 
 
 def compute_sampled_robustness(signals: Mapping[str, Track], scenario: FreeFlyerScenario) -> float:
@@ -108,17 +109,17 @@ class _Bounding:
             case _ if not formula.is_temporal:
                 return self._bound_state(formula, interval, sign)
             case And(operands) | Or(operands):
-                return self._halve(lambda *part: self._bound_best(operands, part, sign), interval)
+                return self._halve(lambda *part: self._bound_best(operands, part[:2], sign, part[2]), interval)
             case Always(window, child) | Eventually(window, child) if isinstance(formula, all_hold) or _is_instant(
                 window
             ):
                 return self.bound(child, self._shift(interval, window), sign)
             case Always(window, child) | Eventually(window, child):
-                return self._halve(lambda *part: self._bound_some(child, part, window, sign), interval)
+                return self._halve(lambda *part: self._bound_some(child, part[:2], window, sign), interval)
             case Until():
                 if sign < 0:
                     return negate_bounds(self._bound_most_until(formula, interval))
-                return self._halve(lambda *part: self._bound_until(formula, part), interval)
+                return self._halve(lambda *part: self._bound_until(formula, part[:2]), interval)
         return self.bound(formula.define(), interval, sign)
 
     def _bound_state(self, formula: Formula, interval: Interval, sign: int) -> Range:
@@ -133,12 +134,30 @@ class _Bounding:
         )
         return bounds.low, bounds.high
 
-    def _bound_best(self, operands: Sequence[Formula], part: Interval, sign: int) -> Range:
-        """Return a lower bound of the least of the best operand over a part, and an upper one: in its middle."""
+    def _bound_best(self, operands: Sequence[Formula], part: Interval, sign: int, known: Fraction | None) -> Range:
+        """Return a lower bound of the least of the best operand over a part, and an upper one: in its middle.
+
+        Where one operand alone is above an upper bound that is known, the others change nothing: what looks ahead is
+        asked last.
+        """
+        ordered = sorted(operands, key=lambda operand: operand.is_temporal)
         middle = (part[0] + part[1]) / 2
-        low = max(self.bound(operand, part, sign)[0] for operand in operands)
-        high = max(self.bound(operand, (middle, middle), sign)[1] for operand in operands)
-        return low, high
+        low = self._bound_until_known(ordered, part, sign, 0, known)
+        if known is not None and low >= known:
+            return low, known
+        high = self._bound_until_known(ordered, (middle, middle), sign, 1, known)
+        return low, high if known is None else min(high, known)
+
+    def _bound_until_known(
+        self, operands: Sequence[Formula], part: Interval, sign: int, end: int, known: Fraction | None
+    ) -> Fraction:
+        """Return the greatest of bounds of operands, or one that is not below what is known."""
+        best = self.bound(operands[0], part, sign)[end]
+        for operand in operands[1:]:
+            if known is not None and best >= known:
+                break
+            best = max(best, self.bound(operand, part, sign)[end])
+        return best
 
     def _bound_some(self, child: Formula, part: Interval, window: tuple[float, float], sign: int) -> Range:
         """Return the same of the best instant within a window ahead."""
@@ -164,7 +183,7 @@ class _Bounding:
     def _find_best_until(self, formula: Until, start: Fraction, window: Interval) -> Range:
         """Return bounds of max over tau in a window of min(right(tau), min of left over [start, tau])."""
 
-        def measure(first: Fraction, last: Fraction) -> Range:
+        def measure(first: Fraction, last: Fraction, _: Fraction | None) -> Range:
             middle = (first + last) / 2
             high = min(-self.bound(formula.right, (first, last), -1)[0], self.bound(formula.left, (start, first), 1)[1])
             low = min(
@@ -178,7 +197,7 @@ class _Bounding:
         """Return bounds of the greatest of an until over an interval: whoever waits least needs the left side least."""
         near = Fraction(formula.interval[0])
 
-        def measure(first: Fraction, last: Fraction) -> Range:
+        def measure(first: Fraction, last: Fraction, _: Fraction | None) -> Range:
             middle = (first + last) / 2
             right = -self.bound(formula.right, (first, last), -1)[0]
             begin = min(interval[1], last - near)
@@ -196,10 +215,10 @@ class _Bounding:
         """Return bounds of the least of a value over an interval, whose lowest part is halved first.
 
         Args:
-            bound: a lower bound of the least over a part, and an upper one.
+            bound: a lower bound of the least over a part, and an upper one, where some upper one is known.
             interval: of time [s].
         """
-        parts = [(*bound(*interval), interval)]
+        parts = [(*bound(*interval, None), interval)]
         high = parts[0][1]
         for _ in range(self.effort.nested_splits):
             parts.sort()
@@ -207,7 +226,7 @@ class _Bounding:
             if high - low <= self.effort.nested_accuracy or start == end:
                 break
             middle = (start + end) / 2
-            halves = [(*bound(*half), half) for half in ((start, middle), (middle, end))]
+            halves = [(*bound(*half, high), half) for half in ((start, middle), (middle, end))]
             high = min(high, *(half[1] for half in halves))
             parts[:1] = halves
         return min(parts)[0], high

@@ -12,7 +12,7 @@ from planners.errors import PlanningError
 from planners.free_flyer.frame import Frame, find_frame
 from planners.free_flyer.nominal.ladder import climb_ladder
 from planners.free_flyer.nominal.screening import refuse_impossible, refuse_low_bound
-from planners.free_flyer.nominal.task import NominalTask, PlanOptions
+from planners.free_flyer.nominal.task import NominalTask, PlanOptions, find_most_impacts
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.central_hit import compute_shape_error
 from planners.free_flyer.specification.requirement import read_demands
@@ -59,7 +59,7 @@ def make_free_flyer_plan(
     Source: Verhagen & Tumova, Sec. IV-B, on a grid of events.
     """
     if max_impacts is None:
-        max_impacts = 3 + 3 * len(scenario.objects)
+        max_impacts = find_most_impacts(scenario)
     _check_arguments(scenario, max_impacts, time_limit, proof)
     check_solver(solver)
     if proof:

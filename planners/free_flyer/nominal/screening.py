@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from impact_envs.stl import Predicate
-from planners.budget import read_clock
+from planners.budget import count_things, read_clock
 from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.frame import find_frame
 from planners.free_flyer.nominal.attempt import Attempt
@@ -182,5 +182,5 @@ def screen_task(task: NominalTask, max_impacts: int, options: PlanOptions) -> No
         except SolverFailed:  # nothing is proven within the nodes allowed
             return
         return
-    status = f"proven infeasible with up to {max_impacts} impacts and the planner's reserves"
+    status = f"proven infeasible with up to {count_things(max_impacts, 'impact')} and the planner's reserves"
     raise Infeasible(f"plan of {task.scenario.name}", status, "allow more impacts or time, or relax the formula")

@@ -79,6 +79,11 @@ class NominalTask:
         return grid, add_demands(grid, self.demands, self.scenario.control_period, size.passing, avoid)
 
 
+def find_most_impacts(scenario: FreeFlyerScenario) -> int:
+    """Return the greatest number of impacts that is tried where nobody says another one."""
+    return 3 + 3 * len(scenario.objects)
+
+
 class Wish(NamedTuple):
     """Say what a plan should do for its execution, where the robustness leaves room for it.
 

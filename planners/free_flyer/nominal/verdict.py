@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from planners.budget import Budget, get_clock
+from planners.budget import Budget, count_things, get_clock
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.attempt import Attempt
-from planners.free_flyer.nominal.task import NominalTask
+from planners.free_flyer.nominal.task import NominalTask, find_most_impacts
 
 SHARES = {0: "all", 1: "half", 2: "a quarter"}  # of the reserves that are left when they were halved so often
 
@@ -52,18 +52,24 @@ def judge_trials(
     full = [trial for trial in trials if not trial.attempt.few]  # few impacts prove nothing of many
     exists = any(trial.rho is not None for trial in trials)
     if complete and full and not exists and all(trial.is_proof for trial in full):
-        status = f"proven infeasible with up to {max_impacts} impacts, {most} straight pieces a leg"
-        remedy = "allow more impacts or time, move the areas, or relax the formula"
+        status = f"proven infeasible {_name_size(max_impacts, most)}"
+        remedy = "allow more impacts (--max-impacts) or time, move the areas, or relax the formula"
         return Infeasible(problem, f"{status} and {describe_reserves(task, trials[-1].attempt.halvings)}", remedy)
     late = budget.left <= 0.0 or any(trial.error and "time limit" in trial.error.status for trial in trials)
     done = "" if task.work is None else f" ({task.work.done:.0f} units of work done)"
     limit = f"the time limit of {budget.limit:g} s{done}" if late else "these numbers of impacts, pieces and reserves"
     if get_clock().stopped:
         limit = f"the {budget.seconds:.3g} s until it was interrupted{done}"
-    tried = f"with up to {max_impacts} impacts, {most} straight pieces a leg and {_name_reserves(trials)}"
+    tried = f"{_name_size(max_impacts, most)} and {_name_reserves(trials)}"
     status = f"no plan found, and none excluded, within {limit}: tried {tried}; {_describe_failures(trials, task)}"
-    remedy = "raise the time limit" if late else "allow more impacts or a longer horizon"
+    more = f"allow more impacts (--max-impacts {max_impacts + 1} or more)"
+    few = max_impacts < find_most_impacts(task.scenario)  # somebody chose fewer
+    remedy = f"raise the time limit (--time-limit){f', {more}' * few}" if late else f"{more} or a longer horizon"
     return SolverFailed(problem, status, f"{remedy}, give robots more thrust, or relax the formula")
+
+
+def _name_size(impacts: int, pieces: int) -> str:
+    return f"with up to {count_things(impacts, 'impact')}, {count_things(pieces, 'straight piece')} a leg"
 
 
 def describe_share(halvings: int) -> str:

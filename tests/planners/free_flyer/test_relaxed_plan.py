@@ -32,6 +32,27 @@ def test_a_goal_out_of_reach_is_missed_by_its_distance():
     assert found.given_up[0].missed == pytest.approx(0.5, abs=1e-6)  # pop at y = 1.5, goal from y = 2
     assert found.robustness == pytest.approx(-0.5, abs=1e-6)
     assert validate_plan(found.scenario, found.plan) > 0.0
+    assert found.bound == pytest.approx(0.5, abs=1e-3)  # without impacts it stays where it is
+
+
+@pytest.mark.slow
+def test_what_a_ball_has_no_time_for_is_given_up_and_no_more():
+    """2.5 m more than it can fly after 3.68 s, at most 0.3 m/s, until 10 s: it misses 2.1 m at least."""
+    world = make_world()
+    ball, robot = world.objects["pop"].model_dump(), world.robots["snap"].model_dump()
+    fields = {field: getattr(world, field) for field in type(world).model_fields}
+    fields |= {
+        "formula": "F[0,10] pop in dock",
+        "horizon": 60.0,
+        "world": {"lower": [0.0, 0.0], "upper": [8.0, 4.0]},
+        "objects": {"pop": ball | {"start": [2.0, 2.0]}},
+        "robots": {"snap": robot | {"start": [1.0, 2.0], "goal": None, "force_limit": 1.5, "speed_limit": 0.3}},
+        "regions": {"dock": {"lower": [6.0, 1.5], "upper": [7.0, 2.5]}},
+    }
+    fields["objects"]["pop"]["speed_limit"] = 0.3
+    found = make_relaxed_plan(type(world)(**fields))
+    assert found.bound == pytest.approx(2.1, abs=0.05)
+    assert found.given_up[0].missed < 3.0
 
 
 def test_nothing_is_given_up_where_there_is_a_plan():

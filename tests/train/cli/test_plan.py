@@ -1,12 +1,16 @@
 """``impact plan``: pictures, published files, encodings, solvers."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
+from planners.budget import Clock
 from planners.plan import Plan
 from planners.solvers import installed_solvers
+from tests.frozen.freeze import get_plan
 from train.cli.main import main
+from train.cli.plan import judge_plan
 
 
 def run(capsys, *arguments):
@@ -57,6 +61,21 @@ def test_plan_of_several_objects_lists_who_is_hit(capsys):
     assert {hit["object"] for hit in json.loads(out)["impacts"]} == {"pop", "plop"}
 
 
+@pytest.mark.parametrize(
+    ("gap", "seconds", "said"),
+    [
+        (0.0, 1.0, "proven: no plan is more robust"),
+        (1e-6, 1.0, "proven: no plan is more robust"),
+        (0.2, 1.0, "a plan with 0.3 m, no plan has more than 0.5 m: with up to 1 impact and the planner's reserves no"),
+        (0.2, 31.0, "a plan with 0.3 m, no plan has more than 0.5 m: the search for more ended with its part of the"),
+    ],
+)
+def test_a_plan_is_judged_by_its_gap_and_time(gap, seconds, said):
+    plan = get_plan("throw_and_catch", "nominal")
+    given = replace(plan, robustness=0.5 - gap, bound=0.5, gap=gap, solve_seconds=seconds)
+    assert judge_plan(given, Clock(), 60.0, 1)["verdict"].startswith(said)
+
+
 BAD = {
     "picture": (("--plot", "plan.bmp"), [".bmp", ".png", ".svg"]),
     "folder": (("--published", "no/such/folder"), ["no/such"]),
@@ -65,6 +84,9 @@ BAD = {
     "bezier out": (("--encoding", "bezier", "--out", "plan.json"), ["bezier", "--out"]),
     "solver": (("--solver", "cplex"), ["cplex", "highs", "scip"]),
     "impacts": (("--max-impacts", "-1"), ["max_impacts", "-1"]),
+    "half an impact": (("--max-impacts", "2.5"), ["impact: --max-impacts 2.5: a whole number is needed"]),
+    "no number": (("--time-limit", "soon"), ["impact: --time-limit soon: a number is needed"]),
+    "weights": (("--weights", "a"), ["impact: --weights a: a number is needed"]),
 }
 
 

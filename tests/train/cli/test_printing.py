@@ -3,12 +3,14 @@
 import re
 import subprocess
 import sys
+import time
 
 import pytest
 
 import impact_envs
-from planners.budget import Budget, watch_planning
+from planners.budget import Budget, Progress, watch_planning
 from train.cli.main import main
+from train.cli.progress import show_planning
 
 
 def say(capsys, *arguments):
@@ -98,8 +100,30 @@ def test_stages_are_told_to_who_watches():
             pass
     with budget.stage("nobody watches"):
         pass
-    said = "2 impacts, 1 pieces a leg, at most 0.5 m"
+    said = "2 impacts, 1 piece a leg, at most 0.5 m"
     assert told == [("robustness", ""), (None, said), ("effort", said), (None, said)]
+
+
+@pytest.mark.parametrize(
+    ("impacts", "pieces", "said"),
+    [(0, 1, "no impacts yet, 1 piece a leg"), (1, 2, "1 impact, 2 pieces a leg"), (2, 1, "2 impacts, 1 piece a leg")],
+)
+def test_one_is_told_as_one_and_none_as_none_yet(impacts, pieces, said):
+    assert str(Progress(impacts=impacts, pieces=pieces)) == said
+
+
+def test_without_a_terminal_a_line_now_and_then_tells_of_a_plan(capsys, monkeypatch):
+    monkeypatch.setattr("train.cli.progress.REPORT_PERIOD", 0.05)
+    with show_planning():
+        budget = Budget(60.0)
+        budget.progress.bound = 0.5
+        with budget.stage("robustness"):
+            time.sleep(0.4)
+    told = capsys.readouterr().err.splitlines()
+    assert told
+    assert all(
+        re.fullmatch(r"impact: planning for \d+ s: robustness, at most 0.5 m, (59|60) s left", line) for line in told
+    )
 
 
 def test_help_says_which_domains_are_planned(capsys):

@@ -27,6 +27,7 @@ FORMULAS = {
     "speed": "G[0,9] speed(snap) <= 0.1 & F[11,19] speed(pop) <= 0.09",
     "either": "G[0,30] (pop.y <= 2 | distance(pop, crackle) <= 1)",
     "nested": "G[0,20] F[0,8] pop.y >= 1.6",
+    "in order": "F[0,12] (snap.y >= 0.2 & F[0,9] (pop.y >= 1.9 & F[0,9] pop in goal))",
     "until": "(pop.y <= 2.2) U[5,25] (crackle.y <= 3)",
     "no until": "not ((pop.y <= 2.2) U[5,25] (crackle.y <= 3))",
     "until within": "F[0,5] ((pop.y <= 2.2) U[2,20] (snap.y >= 0.6))",

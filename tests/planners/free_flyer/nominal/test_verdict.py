@@ -37,3 +37,12 @@ def test_infeasible_is_said_only_where_every_attempt_with_all_impacts_proves_it(
 ) -> None:
     assert isinstance(judge(trials), Infeasible if proven else SolverFailed)
     assert isinstance(judge(trials, complete=False), SolverFailed)
+
+
+@pytest.mark.parametrize(("most", "named"), [(6, False), (1, True)])
+def test_fewer_impacts_than_usual_are_named_in_the_advice(most: int, named: bool) -> None:
+    world = load_scenario("throw_and_catch").as_believed()
+    task = NominalTask(world, read_demands(world, Reserves().wall), Reserves())
+    told = judge_trials([Trial(MANY, SolverFailed("grid", "time limit", "more"))], task, most, Budget(60.0), False)
+    assert ("allow more impacts (--max-impacts 2 or more)" in told.remedy) is named
+    assert f"with up to {'1 impact' if named else '6 impacts'}, 2 straight pieces a leg" in told.status
