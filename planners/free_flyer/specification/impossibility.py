@@ -5,7 +5,6 @@ Only consequences of the formula are read, and only bounds that every plan keeps
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -13,21 +12,35 @@ from dataclasses import replace
 import numpy as np
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from impact_envs.stl import Distance, In, Predicate
+from impact_envs.stl import In, Predicate
+from planners.budget import count_things
+from planners.free_flyer.specification.coexistence import check_together
 from planners.free_flyer.specification.convex_polygon import (
     clip,
     find_nearest,
     list_faces,
-    measure_distance,
-    measure_span,
+    make_box,
 )
 from planners.free_flyer.specification.least_way import grow
-from planners.free_flyer.specification.necessary_visits import Alternative, Moment, Stay, Visit, list_alternatives
+from planners.free_flyer.specification.necessary_visits import (
+    Alternative,
+    Moment,
+    Recurrence,
+    Stay,
+    Visit,
+    list_alternatives,
+)
 from planners.free_flyer.specification.reach import Kept, Reach, list_held
 from planners.free_flyer.specification.requirement import Demands
-from planners.free_flyer.specification.visiting_order import Call, Impossibility, check_orders, say_place
+from planners.free_flyer.specification.visiting_order import (
+    Call,
+    Impossibility,
+    check_orders,
+    check_recurrences,
+    say_place,
+)
 
-MOVE = "move one of them, or relax the formula"
+MOVE = "move the place or the body, or relax the formula"
 
 
 def find_impossibility(
@@ -66,9 +79,10 @@ class _Examiner:
         self.scenario, self.demands, self.max_impacts = scenario, demands, max_impacts
         self.stays = [one for one in alternative if isinstance(one, Stay)]
         self.visits = [one for one in alternative if isinstance(one, Visit)]
+        self.recurrences = [one for one in alternative if isinstance(one, Recurrence)]
         whole = [stay.predicate for stay in self.stays if stay.start <= 0.0 and stay.end >= scenario.horizon]
-        self.reach = Reach(scenario, demands, kept, list_held(whole))
-        self.unasked = Reach(scenario, demands, kept, {})  # where bodies may be, whatever is asked of them
+        self.reach = Reach(scenario, demands, kept, max_impacts, list_held(whole))
+        self.unasked = Reach(scenario, demands, kept, max_impacts, {})  # where bodies may be, whatever is asked of them
 
     def examine(self) -> Impossibility | None:
         """Return why nothing keeps the alternative."""
@@ -77,7 +91,9 @@ class _Examiner:
             why = self._check_place(call)
             if why is not None:
                 return why
-        together = self._check_starts() or self._check_predicates() or self._check_together(calls)
+        together = self._check_starts() or check_together(
+            self.scenario, self.visits, self.stays, calls, self.reach.forgiven
+        )
         if together is not None:
             return together
         timed: list[Call] = []
@@ -90,9 +106,18 @@ class _Examiner:
             own = [call for call in timed if call.body == name]
             stays = [stay for stay in self.stays if self._is_place(stay.predicate, name)]
             why = check_orders(own, stays, self._cut, self.reach.speed(name), self.reach.forgiven)
+            why = why or self._check_recurrences(name)
             if why is not None:
                 return why
         return self._check_impacts(timed)
+
+    def _check_recurrences(self, name: str) -> Impossibility | None:
+        box = self.unasked.space(name).box
+        places = [
+            (one, self._cut(box, [one.predicate])) for one in self.recurrences if self._is_place(one.predicate, name)
+        ]
+        period = self.scenario.control_period
+        return check_recurrences(name, places, self.reach.speed(name), period, self.reach.forgiven)
 
     # Places
 
@@ -134,7 +159,7 @@ class _Examiner:
                 visit.moment.is_fixed and visit.moment.start == call.start == call.end
             )
             if same and visit.predicate.bodies() == (call.body,):
-                yield visit.predicate, call.when
+                yield visit.predicate, "at the same time"
         for stay in self.stays:
             if stay.predicate.bodies() == (call.body,) and stay.start <= call.start and call.end <= stay.end:
                 yield stay.predicate, f"from {stay.start:.4g} to {stay.end:.4g} s"
@@ -146,8 +171,12 @@ class _Examiner:
         inset = body.radius + self.reach.kept.wall
         for predicate in own:
             if not len(self._cut(self.unasked.space(call.body).box, [predicate])):
-                centre = f"its centre stays {inset:.3g} m inside of the world's edge"
-                outside = f"that lies outside of the world, or too near to its edge: {centre}"
+                world = make_box(np.array(self.scenario.world.lower), np.array(self.scenario.world.upper))
+                outside = "that place lies outside of the world"
+                if len(self._cut(world, [predicate])):
+                    outside = (
+                        f"its centre stays {inset:.3g} m inside of the world's edge, and that place is nearer to it"
+                    )
                 return Impossibility(f"{call.body} has to be {say_place(predicate)} {call.when}, but {outside}", MOVE)
         place = call.place
         for predicate, when in self._list_holding(call):
@@ -173,7 +202,7 @@ class _Examiner:
     def _tell_pair(self, call: Call, own: Sequence[Predicate], last: Predicate, when: str) -> Impossibility:
         """Return which two demands on one place exclude each other, or the last one of several."""
         box = self.unasked.space(call.body).box
-        others = [one for one in own if one != last]
+        others = [one for one in dict.fromkeys(own) if one != last]
         pairs = [one for one in others if not len(self._cut(box, [one, last]))] or others
         first = " and ".join(say_place(one) for one in pairs[:2]) or call.said
         told = f"{call.body} has to be {first} {call.when} and {say_place(last)} {when}: no place is both"
@@ -192,47 +221,6 @@ class _Examiner:
                     )
                     return Impossibility(told, MOVE)
         return None
-
-    # Several bodies
-
-    def _check_predicates(self) -> Impossibility | None:
-        """Return a distance that no two bodies can have."""
-        every = [visit.predicate for visit in self.visits] + [stay.predicate for stay in self.stays]
-        for predicate in dict.fromkeys(every):
-            if isinstance(predicate, Distance) and predicate.is_upper and predicate.a != predicate.b:
-                least = self.scenario.body(predicate.a).radius + self.scenario.body(predicate.b).radius
-                if predicate.bound < least - self.reach.forgiven:
-                    told = f"'{predicate}' asks for less than the {least:.3g} m between centres when they touch"
-                    return Impossibility(told, "allow a greater distance")
-        return None
-
-    def _check_together(self, calls: Sequence[Call]) -> Impossibility | None:
-        """Return which two bodies cannot be in their places at the same time."""
-        for one, other in itertools.combinations(calls, 2):
-            same = one.moment is other.moment or one.start == one.end == other.start == other.end
-            if one.body == other.body or not same:
-                continue
-            least, span = self._find_least_distance(one, other), measure_span(one.place, other.place)
-            if span < least - 2.0 * self.reach.forgiven:
-                both = f"{one.body} has to be {one.said} and {other.body} {other.said} at the same time, {one.when}"
-                told = f"{both}: their centres are {least:.3g} m apart at least, those places {span:.3g} m at most"
-                return Impossibility(told, "give one of them another place or time")
-            for predicate in self._list_distances(one, other):
-                if measure_distance(one.place, other.place) > predicate.bound + 2.0 * self.reach.forgiven:
-                    told = f"{one.body} has to be {one.said}, {other.body} {other.said} and '{predicate}' {one.when}"
-                    return Impossibility(f"{told}: those places are farther apart", "change one of the three")
-        return None
-
-    def _find_least_distance(self, one: Call, other: Call) -> float:
-        return self.scenario.body(one.body).radius + self.scenario.body(other.body).radius
-
-    def _list_distances(self, one: Call, other: Call) -> Iterator[Distance]:
-        """Yield the greatest distances of two bodies that hold at the moment of both calls."""
-        for visit in self.visits:
-            if isinstance(visit.predicate, Distance) and visit.predicate.is_upper:
-                same = visit.moment is one.moment or visit.moment.start == visit.moment.end == one.start == one.end
-                if same and {visit.predicate.a, visit.predicate.b} == {one.body, other.body}:
-                    yield visit.predicate
 
     # Times
 
@@ -261,10 +249,12 @@ class _Examiner:
 
     def _tell_unmoved(self, call: Call) -> Impossibility:
         told = f"{call.body} has to be {call.said} {call.when}, but no robot can reach {call.body} to hit it"
+        touched = {name: self.reach.find_touch(name, call.body) for name in self.scenario.robots}
         ways = [
             f"the way of {name} is closed by {self._say_closed(name, place)}"
-            for name in self.scenario.robots
-            if len(place := self.reach.find_touch(name, call.body))
+            if len(place)
+            else f"{name} may not be near enough"
+            for name, place in touched.items()
         ]
         return Impossibility(
             ": ".join((told, " and ".join(ways[:2]))), "open a way from a robot to it, or move a robot"
@@ -286,7 +276,10 @@ class _Examiner:
             return Impossibility(f"{told}, but no robot can hit it before {wait:.3g} s", remedy)
         if wait > 0.0:
             told += f", and no robot can hit it before {wait:.3g} s"
-        limit = "" if speed >= self.scenario.body(body).speed_limit else ", all that hits of the robots can give it,"
+        limit = ""
+        if speed < self.scenario.body(body).speed_limit:
+            remedy += ", or allow more impacts (--max-impacts)"
+            limit = f", all that {count_things(self.max_impacts, 'impact')} of the robots can give it,"
         return Impossibility(f"{told}: at most {speed:.3g} m/s{limit} reach {speed * (call.end - wait):.3g} m", remedy)
 
     def _find_offset(self, call: Call) -> np.ndarray:

@@ -82,7 +82,18 @@ class Stay:
     end: float
 
 
-Alternative = tuple[Visit | Stay, ...]
+@dataclass(frozen=True, eq=False)
+class Recurrence:
+    """Say that within a span of every instant from start to end a predicate holds at some instant [s]."""
+
+    predicate: Predicate
+    start: float
+    end: float
+    span: float
+
+
+Consequence = Visit | Stay | Recurrence
+Alternative = tuple[Consequence, ...]
 
 
 def list_alternatives(formulas: Iterable[Formula]) -> list[Alternative]:
@@ -143,9 +154,13 @@ def _hold_throughout(formula: Formula, start: float, end: float) -> list[Alterna
         case Always((lower, upper), child):
             return _hold_throughout(child, start + lower, end + upper)
     instants = [start, end]
+    recurrence: list[Alternative] = [()]
     if isinstance(formula, Eventually) and formula.interval[1] > formula.interval[0]:
         # Instants whose windows follow upon each other ask for most visits.
         span = formula.interval[1] - formula.interval[0]
         steps = min(int((end - start) / span), MOST_INSTANTS - 2)
         instants = sorted({start, end, *(start + k * span for k in range(1, steps + 1))})
-    return _combine([_hold_at(formula, Moment(time, time)) for time in instants])
+        if isinstance(formula.child, Predicate):
+            first = formula.interval[0]
+            recurrence = [(Recurrence(formula.child, start + first, end + first, span),)]
+    return _combine([recurrence, *(_hold_at(formula, Moment(time, time)) for time in instants)])

@@ -45,12 +45,14 @@ class Reach:
         scenario: bodies, limits, world.
         demands: of its formula.
         kept: in hand.
+        max_impacts: greatest number of impacts.
         held: predicates that hold over the whole horizon, by body.
     """
 
     scenario: FreeFlyerScenario
     demands: Demands
     kept: Kept
+    max_impacts: int
     held: dict[str, tuple[Predicate, ...]]
     _spaces: dict[str, FreeSpace] = field(default_factory=dict)
     _waits: dict[str, float] = field(default_factory=dict)
@@ -94,18 +96,22 @@ class Reach:
     def speed(self, name: str) -> float:
         """Return the greatest speed per axis [m/s].
 
-        An object that is hit at speed v by a robot at w leaves at m3 w + (1 - m3) v: it is never faster than
-        c = max_R m3 w / (1 - |1 - m3|), and at least as fast as it starts.
+        An object at speed v that is hit by a robot at w leaves at m3 w + (1 - m3) v.
         """
         body = self.scenario.body(name)
         if isinstance(body, Robot):
             return max(body.speed_limit, *map(abs, body.start_velocity))
-        given = 0.0
-        for robot in self.scenario.robots.values():
-            _, _, m3, m4 = compute_mass_fractions(robot.mass, body.mass, self.scenario.believed.restitution)
-            fastest = max(robot.speed_limit, *map(abs, robot.start_velocity))
-            given = max(given, m3 * fastest / (1.0 - abs(m4)) if abs(m4) < 1.0 else math.inf)
-        return max(min(body.speed_limit, given), *map(abs, body.start_velocity))
+        start = given = max(map(abs, body.start_velocity))
+        for _ in range(max(1, self.max_impacts)):  # that none may is told in other words
+            after = given
+            for robot in self.scenario.robots.values():
+                _, _, m3, m4 = compute_mass_fractions(robot.mass, body.mass, self.scenario.believed.restitution)
+                fastest = max(robot.speed_limit, *map(abs, robot.start_velocity))
+                after = max(after, m3 * fastest + abs(m4) * given)
+            if after >= body.speed_limit:
+                return max(body.speed_limit, start)
+            given = after
+        return max(given, start)
 
     def wait(self, name: str) -> float:
         """Return the time before which a body stays where it starts [s]: an object waits for its first impact."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from impact_envs.stl import In, Predicate
 from planners.free_flyer.specification.convex_polygon import measure_distance
-from planners.free_flyer.specification.necessary_visits import Moment, Stay
+from planners.free_flyer.specification.necessary_visits import Moment, Recurrence, Stay
 
 MOST_CALLS = 8  # places of one body whose orders are compared; with more, the first ones
 ROUND_OFF = 1e-9  # of times [s], and relative
@@ -96,6 +96,34 @@ def check_orders(
             picked = list(chosen)
             if not _has_order([own[k] for k in picked], times[np.ix_(picked, picked)]):
                 return _tell_order([own[k] for k in picked], speed)
+    return None
+
+
+def check_recurrences(
+    name: str, recurrences: Sequence[tuple[Recurrence, np.ndarray]], speed: float, period: float, forgiven: float
+) -> Impossibility | None:
+    """Return which two places one body cannot visit again and again.
+
+    Between the visits of one place before and after one of the other lie two ways; where both recur for long enough
+    there is such a pair, and its visits are no farther apart than the span and a control period.
+
+    Args:
+        name: of the body.
+        recurrences: of its places, with these.
+        speed: its greatest [m/s].
+        period: of control [s].
+        forgiven: by which places may be missed [m].
+    """
+    for (one, here), (other, there) in itertools.permutations(recurrences, 2):
+        begin = max(one.start, other.start)
+        lasting = begin + one.span <= other.end and begin + one.span + other.span + period <= one.end
+        apart = max(0.0, measure_distance(here, there) - 2.0 * forgiven)
+        needed = 2.0 * apart / speed
+        if lasting and needed > (one.span + period) * (1.0 + ROUND_OFF):
+            asked = f"{name} has to be {say_place(one.predicate)} every {one.span:.4g} s"
+            again = f"{say_place(other.predicate)} again and again from {begin:.4g} s on"
+            told = f"they are {apart:.3g} m apart, and to and fro takes {needed:.3g} s at {speed:.3g} m/s"
+            return Impossibility(f"{asked} and {again}: {told}", LATER)
     return None
 
 

@@ -65,6 +65,7 @@ GAP = {
     "low": {"lower": [3.0, 0.0], "upper": [3.4, 1.81], "solid": True},
     "high": {"lower": [3.0, 2.19], "upper": [3.4, 4.0], "solid": True},
 }
+LOW = {"ann": ROBOT | {"start": [1.0, 1.0]}}
 BOB = {"ann": ROBOT | {"start": [1.0, 2.0]}, "bob": ROBOT | {"start": [1.0, 3.0], "goal": [5.0, 3.0]}}
 
 
@@ -79,17 +80,28 @@ BOB = {"ann": ROBOT | {"start": [1.0, 2.0]}, "bob": ROBOT | {"start": [1.0, 3.0]
         ),
         ("F[0,100] ball in dock", {"obstacles": GAP}, "closed by low and high, the widest gap is 0.38 m, it needs 0.4"),
         ("F[0,100] ball in dock", {"obstacles": CAGE}, "no way for ball from its start"),
-        ("F[0,100] ball in far", {}, "in far by 100 s, but that lies outside of the world"),
+        ("F[0,100] ball in far", {}, "in far by 100 s, but that place lies outside of the world"),
         ("F[0,100] ball in dock & G[0,100] ball not in dock", {}, "but not in dock from 0 to 100 s: dock covers"),
         (
             "G[50,60] ann in A & F[55,58] ann in B",
             {},
             "ann has to be in B between 55 and 58 s and in A from 50 to 60 s",
         ),
-        ("F[0,50] (ball in A & ball in B)", {}, "ball has to be in B by 50 s and in A by 50 s: no place is both"),
+        (
+            "F[0,50] (ball in A & ball in B)",
+            {},
+            "ball has to be in B by 50 s and in A at the same time: no place is both",
+        ),
         ("G[50,50] ball in A & G[55,55] ball in B", {}, r"3 m apart, at most 0\.3 m/s need 10 s, and 5 s are left"),
         ("F[0,90] (ball in A & F[0,8] ball in B)", {}, "need 10 s, and 8 s are left"),
         ("G[40,80] (F[0,9] ball in A & F[0,9] ball in B)", {}, "need 10 s, and 9 s are left"),
+        ("G[40,99] (F[0,1] ann in A & F[0,1] ann in dock)", {}, r"ann has to be|and 1 s are left"),
+        (
+            "G[30,80] F[0,15] ball in A & G[30,80] F[0,19] ball in B",
+            {},
+            "in A every 15 s .*to and fro takes 20 s at 0.3",
+        ),
+        ("F[0,100] ball in dock & G[0,100] ann in A", {"robots": LOW}, "no robot can reach ball to hit it"),
         ("G[0,0] ball in dock", {}, "ball has to be in dock at 0 s, but starts 2.5 m from it"),
         ("F[0,60] (ann in hole & ball in hole)", {}, r"0\.4 m apart at least, those places 0\.354 m at most"),
         ("F[0,60] distance(ann, ball) <= 0.3", {}, "asks for less than the 0.4 m between centres when they touch"),
@@ -113,6 +125,15 @@ def test_a_ball_that_no_robot_can_touch_stays() -> None:
     found = explain(make_task("F[0,100] ball in A", obstacles=window, robots=fat))
     assert found is not None
     assert "no way" in found or "no robot can reach ball" in found
+
+
+def test_a_light_robot_gives_a_heavy_object_little_speed_in_so_many_impacts() -> None:
+    """0.2 kg against 60 kg: 0.6 % of the robot's 0.3 m/s each time."""
+    light = {"ann": ROBOT | {"start": [1.0, 2.0], "mass": 0.2}}
+    heavy = {"ball": BODY | {"start": [2.0, 2.0], "mass": 60.0}}
+    found = explain(make_task("F[0,100] ball in dock", robots=light, objects=heavy))
+    assert re.search(r"at most 0\.0106 m/s, all that 6 impacts of the robots can give it, reach", str(found)), found
+    assert explain(make_task("F[0,100] ball in dock", robots=light, objects=heavy), 60) is None
 
 
 def test_impacts_that_are_needed_are_counted() -> None:
