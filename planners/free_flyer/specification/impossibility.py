@@ -21,7 +21,7 @@ from planners.free_flyer.specification.convex_polygon import (
     list_faces,
     make_box,
 )
-from planners.free_flyer.specification.least_way import grow
+from planners.free_flyer.specification.least_way import FreeSpace, grow
 from planners.free_flyer.specification.necessary_visits import (
     Alternative,
     Moment,
@@ -40,6 +40,7 @@ from planners.free_flyer.specification.visiting_order import (
     say_place,
 )
 
+MOST_REASONS = 3  # that are told where each alternative of a formula has its own
 MOVE = "move the place or the body, or relax the formula"
 
 
@@ -55,14 +56,16 @@ def find_impossibility(
         kept: what a plan keeps in hand.
     """
     found: dict[str, Impossibility] = {}
+    spaces: dict[tuple[str, tuple[Predicate, ...]], FreeSpace] = {}
     for alternative in list_alternatives(demands.conjuncts.values()):
-        why = _Examiner(scenario, demands, alternative, max_impacts, kept).examine()
+        brief = len(found) >= MOST_REASONS
+        why = _Examiner(scenario, demands, alternative, max_impacts, kept, spaces, brief).examine()
         if why is None:
             return None
         found[why.reason] = why
     if len(found) == 1:
         return next(iter(found.values()))
-    return Impossibility(" or, otherwise, ".join(list(found)[:3]), next(iter(found.values())).remedy)
+    return Impossibility(" or, otherwise, ".join(list(found)[:MOST_REASONS]), next(iter(found.values())).remedy)
 
 
 class _Examiner:
@@ -75,14 +78,18 @@ class _Examiner:
         alternative: Alternative,
         max_impacts: int,
         kept: Kept,
+        spaces: dict[tuple[str, tuple[Predicate, ...]], FreeSpace],
+        brief: bool,
     ) -> None:
-        self.scenario, self.demands, self.max_impacts = scenario, demands, max_impacts
+        self.scenario, self.demands, self.max_impacts, self.brief = scenario, demands, max_impacts, brief
         self.stays = [one for one in alternative if isinstance(one, Stay)]
         self.visits = [one for one in alternative if isinstance(one, Visit)]
         self.recurrences = [one for one in alternative if isinstance(one, Recurrence)]
         whole = [stay.predicate for stay in self.stays if stay.start <= 0.0 and stay.end >= scenario.horizon]
-        self.reach = Reach(scenario, demands, kept, max_impacts, list_held(whole))
-        self.unasked = Reach(scenario, demands, kept, max_impacts, {})  # where bodies may be, whatever is asked of them
+        self.reach = Reach(scenario, demands, kept, max_impacts, list_held(whole), spaces)
+        self.unasked = Reach(
+            scenario, demands, kept, max_impacts, {}, spaces
+        )  # where bodies may be, whatever is asked of them
 
     def examine(self) -> Impossibility | None:
         """Return why nothing keeps the alternative."""
@@ -240,11 +247,13 @@ class _Examiner:
         return Impossibility(f"{told}: it is closed by {self._say_closed(call.body, call.place)}", "open a way")
 
     def _say_closed(self, name: str, place: np.ndarray) -> str:
-        """Return what closes all ways of a body into a place."""
+        """Return what closes all ways of a body into a place, unless nobody reads it."""
+        if self.brief:
+            return ""
         names, gap = self.reach.find_closing(name, place)
         size = 2.0 * (self.scenario.body(name).radius + self.reach.kept.wall)
         by = " and ".join(names) if names else "obstacles and areas that it avoids at all times"
-        through = f"the widest gap is {gap:.3g} m, it needs {size:.3g} m" if gap else "without a gap"
+        through = f"the widest gap is {gap:.3g} m, it needs {size:.3g} m" if gap else f"it needs {size:.3g} m"
         return f"{by}, {through}"
 
     def _tell_unmoved(self, call: Call) -> Impossibility:

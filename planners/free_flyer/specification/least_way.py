@@ -16,6 +16,7 @@ import numpy as np
 from planners.free_flyer.specification.convex_polygon import clip, find_nearest, list_faces, measure_distance
 
 ROUNDED = 1e-7  # by which obstacles count smaller, of the largest side of the world
+MOST_OBSTACLES = 30  # that count: visibility is a matter of seconds for more
 GRAZE = 1e-9  # share of a line that may lie in an obstacle
 
 
@@ -42,9 +43,11 @@ class FreeSpace:
     """
 
     def __init__(self, start: np.ndarray, box: np.ndarray, obstacles: Sequence[tuple[str, np.ndarray]]) -> None:
-        self.start, self.box, self.obstacles = np.asarray(start, dtype=float), box, tuple(obstacles)
+        # Ways among some of the obstacles are no longer than among all.
+        self.start, self.box, self.obstacles = np.asarray(start, dtype=float), box, tuple(obstacles[:MOST_OBSTACLES])
         self.size = float(np.ptp(box, axis=0).max()) if len(box) else 0.0
         self._slack = ROUNDED * self.size
+        self._measured: dict[bytes, float] = {}
         most = max((len(polygon) for _, polygon in self.obstacles), default=0)
         # A face without a direction holds everywhere.
         self._faces, self._bounds = np.zeros((len(self.obstacles), most, 2)), np.ones((len(self.obstacles), most))
@@ -60,6 +63,13 @@ class FreeSpace:
         """Return the length of the least way from the start into a convex polygon [m]; infinite where there is none."""
         if not len(place):
             return np.inf
+        key = place.tobytes()
+        if key not in self._measured:
+            self._measured[key] = self._measure(place)
+        return self._measured[key]
+
+    def _measure(self, place: np.ndarray) -> float:
+        """Return the same of a place that is not empty: nodes that may be nearest are asked first."""
         order = sorted(
             (length + float(np.abs(find_nearest(node, place) - node).max()), length, k)
             for k, (length, node) in enumerate(zip(self._lengths, self._nodes, strict=True))
@@ -92,7 +102,8 @@ class FreeSpace:
                 continue
             done[k] = True
             total = length + np.abs(nodes - nodes[k]).max(axis=1)
-            for j in np.flatnonzero((total < best) & self._sees(nodes[k], nodes)):
+            nearer = np.flatnonzero(total < best)
+            for j in nearer[self._sees(nodes[k], nodes[nearer])]:
                 best[j] = total[j]
                 heapq.heappush(heap, (float(total[j]), int(j)))
         return best

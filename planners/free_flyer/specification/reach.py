@@ -23,6 +23,9 @@ from planners.free_flyer.specification.requirement import Demands
 # By which ways may be longer than what is told, of the world's largest side; less than the robustness that plans have.
 FORGIVEN = 10.0 * ROUNDED
 
+NEARLY = 0.99  # share of its speed limit from which an object counts as being as fast as that
+MOST_CLOSING = 8  # obstacles of which those are named that close a way
+
 
 @dataclass(frozen=True)
 class Kept:
@@ -47,6 +50,7 @@ class Reach:
         kept: in hand.
         max_impacts: greatest number of impacts.
         held: predicates that hold over the whole horizon, by body.
+        spaces: of bodies and what holds of them, for more than one such table.
     """
 
     scenario: FreeFlyerScenario
@@ -54,7 +58,7 @@ class Reach:
     kept: Kept
     max_impacts: int
     held: dict[str, tuple[Predicate, ...]]
-    _spaces: dict[str, FreeSpace] = field(default_factory=dict)
+    spaces: dict[tuple[str, tuple[Predicate, ...]], FreeSpace] = field(default_factory=dict)
     _waits: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -65,9 +69,10 @@ class Reach:
 
     def space(self, name: str) -> FreeSpace:
         """Return where a body's centre may be at any time."""
-        if name not in self._spaces:
-            self._spaces[name] = self.make_space(name, self.scenario.body(name).radius)
-        return self._spaces[name]
+        key = name, self.held.get(name, ())
+        if key not in self.spaces:
+            self.spaces[key] = self.make_space(name, self.scenario.body(name).radius)
+        return self.spaces[key]
 
     def make_space(self, name: str, radius: float) -> FreeSpace:
         """Return where a body's centre might be, were it of another radius [m]."""
@@ -108,7 +113,7 @@ class Reach:
                 _, _, m3, m4 = compute_mass_fractions(robot.mass, body.mass, self.scenario.believed.restitution)
                 fastest = max(robot.speed_limit, *map(abs, robot.start_velocity))
                 after = max(after, m3 * fastest + abs(m4) * given)
-            if after >= body.speed_limit:
+            if after >= NEARLY * body.speed_limit:
                 return max(body.speed_limit, start)
             given = after
         return max(given, start)
@@ -146,8 +151,13 @@ class Reach:
         return (way, 0.0) if way == 0.0 else (way, self.wait(name) + way / self.speed(name))
 
     def find_closing(self, name: str, place: np.ndarray) -> tuple[list[str], float]:
-        """Return which obstacles alone close all ways into a place, and the widest gap that they leave [m]."""
-        names = dict.fromkeys(area for area, _ in self.space(name).obstacles)
+        """Return which obstacles alone close all ways into a place, and the widest gap that they leave [m].
+
+        Nothing is told of many obstacles.
+        """
+        names = list(dict.fromkeys(area for area, _ in self.space(name).obstacles))
+        if len(names) > MOST_CLOSING:
+            return [], 0.0
         closing = [area for area in names if math.isfinite(self.space(name).without(area).measure(place))]
         low, high = 0.0, self.scenario.body(name).radius
         for _ in range(10):

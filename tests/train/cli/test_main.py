@@ -128,7 +128,7 @@ BAD = {
     "scenario": (("plan", "coridor"), ["coridor", "corridor"]),
     "file": (("plan", "no/such.toml"), ["no/such.toml"]),
     "option": (("plan", "corridor", "--objectve", "robustness"), ["--objectve"]),
-    "number": (("run", "corridor", "--seed", "x"), ["--seed", "'x'"]),
+    "number": (("run", "corridor", "--seed", "x"), ["--seed x", "a whole number"]),
     "negative seed": (("run", "corridor", "--seed", "-1"), ["seed -1"]),
     "set key": (("run", "corridor", "--set", "true.restitutoin=0.5"), ["restitutoin", "restitution"]),
     "set form": (("run", "corridor", "--set", "true.restitution"), ["KEY=VALUE"]),

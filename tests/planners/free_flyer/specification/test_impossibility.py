@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.tasks import draw_tasks
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from impact_envs.scenario import build_scenario
+from impact_envs.scenario import build_scenario, list_scenarios, load_scenario
 from planners.free_flyer.frame import find_frame
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.impossibility import find_impossibility
@@ -76,7 +76,7 @@ BOB = {"ann": ROBOT | {"start": [1.0, 2.0]}, "bob": ROBOT | {"start": [1.0, 3.0]
         (
             "F[0,100] ball in dock",
             {"obstacles": WALL},
-            "ball from its start to be in dock: it is closed by wall, without",
+            "ball from its start to be in dock: it is closed by wall, it needs",
         ),
         ("F[0,100] ball in dock", {"obstacles": GAP}, "closed by low and high, the widest gap is 0.38 m, it needs 0.4"),
         ("F[0,100] ball in dock", {"obstacles": CAGE}, "no way for ball from its start"),
@@ -227,6 +227,15 @@ class _Writer:
             junk = f"{body} in {self.add(_draw_box(rng, rng.uniform(-9.0, 9.0, 2)))}"
             return f"(G[{time:.1f},{time:.1f}] {here} | F[0,1] {junk})"
         return f"G[{time:.1f},{time:.1f}] ({here} & F[0,{self.times[late] - time:.1f}] {body}.x <= 99)"
+
+
+@pytest.mark.parametrize("name", [name for name in list_scenarios() if load_scenario(name).domain == "free_flyer"])
+def test_no_shipped_task_is_refused(name: str) -> None:
+    for suite in ("nominal", "short", "hard"):
+        task = load_scenario(name).suite(suite)
+        assert isinstance(task, FreeFlyerScenario)
+        for kept in (Kept(), Kept(LEAST.wall, LEAST.times(task.horizon)[0])):
+            assert explain(task, 3 + 3 * len(task.objects), kept) is None
 
 
 @pytest.mark.parametrize("name", ["throw_and_catch", "pong", "pingpong", "relay", "exchange", "obstacle_avoidance"])
