@@ -251,9 +251,7 @@ class Insertion:
     most: CountOrNone = 4  # per object
     long_astray: float = 5.0  # without a robot that could mend it, until a new plan is wanted [s],
     soon: float = 2.0  # or this if what is left of the plan has no optimum [s]
-    # From now to an inserted impact [s]; in the last ones a robot has the time to go round the object.
-    leads: tuple[Positive, ...] = (6.0, 7.0, 9.0, 5.0, 4.0, 12.0, 15.0, 20.0, 30.0, 45.0)
-    round: float = 30.0  # lead from which on it may [s]
+    leads: tuple[Positive, ...] = (6.0, 7.0, 9.0, 5.0, 4.0, 12.0, 15.0, 20.0)  # from now to an inserted impact [s]
     hastes: tuple[Positive, ...] = (1.0, 0.7, 0.5)  # shares of the next flight's duration; a short one turns it less
     least_leg: float = 3.0  # after an inserted impact [s]
     rest: float = 5.0  # of its robot before the next one [s]

@@ -23,13 +23,7 @@ from planners.free_flyer.next_impact.desired_velocity import (
     find_mass,
     find_share,
 )
-from planners.free_flyer.next_impact.reachability import (
-    compute_arrival,
-    compute_run_up_time,
-    compute_time,
-    find_contact,
-    is_reachable,
-)
+from planners.free_flyer.next_impact.reachability import compute_arrival, compute_time, find_contact, is_reachable
 from planners.free_flyer.next_impact.stay import choose_stay, is_leaving
 
 
@@ -148,8 +142,7 @@ def choose_robot(
         wish = choose_stay(plan, memory, options, k, o, NO_ROBOT, time, duration, wish)
     dx, dy = wish[0] - vx, wish[1] - vy
     change = math.hypot(dx, dy)
-    round_about = time - now >= options.insertion.round
-    best, found = -2.0 if round_about else options.insertion.side, NO_ROBOT
+    best, found = options.insertion.side, NO_ROBOT
     if change < options.insertion.least_change:
         return NO_ROBOT
     nx, ny = dx / change, dy / change
@@ -169,17 +162,13 @@ def choose_robot(
         distance = math.hypot(x - a.position[0], y - a.position[1])
         cosine = ((x - a.position[0]) * nx + (y - a.position[1]) * ny) / max(distance, ROUND_OFF)
         inside = compute_room(plan, memory, k, o, r, time, wish[0], wish[1]) >= options.insertion.wall
-        if options.walls and not round_about:
+        if options.walls:
             inside = inside and is_way_clear(plan, r, a.position[0], a.position[1], px, py)
         speed = change / compute_pair_gain(memory, k, r, o)
         limit = plan.body[r].speed_limit
         if max(abs(vx + speed * nx), abs(vy + speed * ny)) > limit:
             continue  # too slow to meet the object as it flies and to push it
-        robot_vx, robot_vy = vx + speed * nx, vy + speed * ny
-        reachable = is_reachable(plan, memory, options, k, r, px, py, robot_vx, robot_vy, time - now)
-        if round_about:
-            longest = compute_run_up_time(plan, memory, options, k, r, px, py, robot_vx, robot_vy)
-            reachable = longest <= time - now
+        reachable = is_reachable(plan, memory, options, k, r, px, py, vx + speed * nx, vy + speed * ny, time - now)
         if inside and reachable and cosine > best:
             best, found = cosine, r
     if found != NO_ROBOT:

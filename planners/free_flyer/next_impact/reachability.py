@@ -21,22 +21,6 @@ def compute_time(plan: PlanTable, options: Options, r: int, d: float) -> float:
 
 
 @compiled
-def compute_run_up_time(
-    plan: PlanTable, memory: WorldMemory, options: Options, k: int, r: int, x: float, y: float, vx: float, vy: float
-) -> float:
-    """Return the time in which robot r is at a place with a velocity: first to where it can run up from, then that [s].
-
-    Args:
-        x, y: place [m].
-        vx, vy: velocity there [m/s].
-    """
-    most = options.reach.ease * plan.pilot[r, GAIN] * plan.pilot[r, INPUT_LIMIT]
-    here, run_up = memory.filter[k, r].position, math.hypot(vx, vy) / most
-    d = math.hypot(x - run_up / 2.0 * vx - here[0], y - run_up / 2.0 * vy - here[1])
-    return compute_time(plan, options, r, d) + run_up
-
-
-@compiled
 def compute_leg_speed(plan: PlanTable, options: Options, o: int, index: int, least: float) -> float:
     """Return the speed per axis at which object o may fly its leg after a planned impact [m/s].
 

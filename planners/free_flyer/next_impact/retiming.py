@@ -15,11 +15,9 @@ from planners.free_flyer.next_impact.desired_velocity import ROUND_OFF, compute_
 from planners.free_flyer.next_impact.reachability import (
     compute_arrival,
     compute_leg_speed,
-    compute_run_up_time,
     find_contact,
     is_reachable,
 )
-from planners.free_flyer.tracking.course import evaluate_curve
 
 
 @compiled
@@ -69,7 +67,7 @@ def is_straying(plan: PlanTable, memory: WorldMemory, options: Options, k: int, 
 def hasten_waiting(plan: PlanTable, memory: WorldMemory, options: Options, k: int, o: int, now: float) -> None:
     """Move the first impact of object o, which drifts away where it waits, to the latest time when it is not far yet.
 
-    Its robot has to be there in time, with the velocity that the plan gives it there: it may come from the other side.
+    Its robot has to be there in time, and has more to spare than for other impacts: it may come from the other side.
     """
     strike, body, place = memory.strike[k, o], plan.robots + o, memory.place[k, memory.strike[k, o].index]
     index, r, old = strike.index, strike.robot, strike.time
@@ -82,9 +80,11 @@ def hasten_waiting(plan: PlanTable, memory: WorldMemory, options: Options, k: in
         else:
             late = middle
     px, py = find_contact(plan, memory, k, index)
-    _, _, vx, vy, _, _ = evaluate_curve(plan.breaks, plan.coefficients, r, plan.impact[index].time, True)
-    notice = options.retiming.careful * compute_run_up_time(plan, memory, options, k, r, px, py, vx, vy)
-    notice = max(options.retiming.frozen, notice)
+    notice = options.retiming.frozen
+    while now + notice < old:
+        if is_reachable(plan, memory, options, k, r, px, py, 0.0, 0.0, notice / options.retiming.careful):
+            break
+        notice += 1.0
     time = max(max(time, now + notice), max(plan.knot[index].opens, compute_arrival(plan, memory, options, k, index)))
     if time < old - options.retiming.fine:
         memory.counts[k].retimed += 1
