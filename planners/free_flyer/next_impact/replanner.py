@@ -25,7 +25,12 @@ from planners.free_flyer.next_impact.desired_velocity import (
 from planners.free_flyer.next_impact.detour import go_round, move_clear
 from planners.free_flyer.next_impact.reachability import is_reachable
 from planners.free_flyer.next_impact.run_up import find_run_up_share
-from planners.free_flyer.next_impact.two_body import NO_CHANGE, compute_lever_gain, solve_soft_two_body_impact, solve_two_body_impact
+from planners.free_flyer.next_impact.two_body import (
+    NO_CHANGE,
+    compute_lever_gain,
+    solve_soft_two_body_impact,
+    solve_two_body_impact,
+)
 from planners.free_flyer.tracking.course import (
     evaluate_course,
     evaluate_curve,
