@@ -163,7 +163,7 @@ class Reach:
 
     ease: Share = 0.75  # share of the thrust that a course to an impact may need
     run_up: Share = 0.6  # share of the thrust with which a robot that lost its course runs up to what it hits
-    stretch: Count = 8  # steps in which the room behind an impact is looked through
+    steps: Count = 8  # in which the room behind an impact is looked through
 
 
 @dataclass(frozen=True)

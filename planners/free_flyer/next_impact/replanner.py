@@ -167,7 +167,9 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     z = memory.filter[k, r]
     if math.hypot(begin[0] - z.position[0], begin[1] - z.position[1]) > options.replanning.off_course:
         memory.counts[k].lost += 1
-        strike.is_slowed = options.walls and not strike.is_answered
+        if options.walls and not strike.is_answered:
+            strike.is_slowed = True
+            solve_strike(plan, memory, options, k, r, o, now)
         begin = (z.position[0], z.position[1], z.velocity[0], z.velocity[1], begin[4], begin[5])
         if options.retime and not postpone_impact(plan, memory, options, k, r, o, now):
             withdraw_impact(plan, memory, options, k, o, now)

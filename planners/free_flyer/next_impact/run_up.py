@@ -47,7 +47,7 @@ def find_run_up_share(
     needed = max(along + approach, 0.0)
     x, y, time = place[0] - reach * nx, place[1] - reach * ny, memory.strike[k, o].time
     room, far = 0.0, needed * needed / (2.0 * most)
-    for _ in range(options.reach.stretch):
+    for _ in range(options.reach.steps):
         gap = measure_gap(plan, r, x - room * nx, y - room * ny)
         for j in range(len(plan.first)):
             if j != o:
