@@ -392,17 +392,25 @@ def learn_noise(memory: WorldMemory, options: Options, k: int, joint: np.ndarray
         sensor.sigma = max(math.sqrt(sensor.square / sensor.weight), options.estimation.position_floor)
 
 
-@compiled
+@inlined
 def extrapolate_flight(memory: WorldMemory, k: int, i: int, time: float) -> tuple[float, float, float, float]:
     """Return the position of the geometric centre and the velocity of the centre of mass of body i in flight at a time.
 
     Source: Verhagen & Tumova, Sec. VI, with the estimated drift and offset added.
     """
-    z, h = memory.filter[k, i], time - memory.time[k]
+    return extrapolate_estimate(memory.filter[k, i], memory.heading[k, i], time - memory.time[k])
+
+
+@compiled
+def extrapolate_estimate(z: np.record, heading: np.record, h: float) -> tuple[float, float, float, float]:
+    """Return what `extrapolate_flight` does a duration after a filter's and a heading's estimates.
+
+    It is called for every point of a course that is looked at, and the arrays of all worlds take long to pass.
+    """
     p, v, a = find_motion(z)
     p, v = p + h * (v + h / 2 * a), v + h * a
     if z.P_dd > 0.0:
-        p += compute_turn_ahead(memory, k, i, h) * get_offset(z)
+        p += compute_turn_ahead(heading, h) * get_offset(z)
     return p.real, p.imag, v.real, v.imag
 
 
@@ -414,16 +422,15 @@ def compute_variance(memory: WorldMemory, k: int, i: int, time: float) -> float:
     variance = pp + 2 * h * pv + h * h * (pa + vv) + h**3 * va + h**4 / 4 * aa
     drifting = z.P_pa + h * (z.P_va + h / 2 * aa)
     if z.P_dd > 0.0:
-        s, pd = compute_turn_ahead(memory, k, i, h), z.P_pd + h * (z.P_vd + h / 2 * z.P_ad)
+        s, pd = compute_turn_ahead(memory.heading[k, i], h), z.P_pd + h * (z.P_vd + h / 2 * z.P_ad)
         variance += 2.0 * (s * pd.conjugate()).real + (s * s.conjugate()).real * z.P_dd
         drifting += s * z.P_ad.conjugate()
     return mix_variance(z, variance, drifting)
 
 
 @inlined
-def compute_turn_ahead(memory: WorldMemory, k: int, i: int, h: float) -> complex:
-    """Return R(theta') - R(theta) of body i, theta' its heading after a time, as a complex number."""
-    heading = memory.heading[k, i]
+def compute_turn_ahead(heading: np.record, h: float) -> complex:
+    """Return R(theta') - R(theta) of a body, theta' its heading after a time, as a complex number."""
     if heading.rate == 0.0:
         return complex(0.0, 0.0)
     return compute_direction(heading.angle + h * heading.rate) - compute_direction(heading.angle)

@@ -162,6 +162,8 @@ class Reach:
     """What a robot is taken to be able to do."""
 
     ease: Share = 0.75  # share of the thrust that a course to an impact may need
+    run_up: Share = 0.6  # share of the thrust with which a robot that lost its course runs up to what it hits
+    steps: Count = 8  # in which the room behind an impact is looked through
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from impact_envs.compiled import compiled, inlined
 from planners.free_flyer.belief.plan_table import PlanTable
 
@@ -15,7 +17,7 @@ WALLS = 4  # sides of the world
 STEPS = 8  # of a straight way that are looked at
 
 
-@compiled
+@inlined
 def measure_distance(plan: PlanTable, i: int, x: float, y: float) -> tuple[float, float, float]:
     """Return the distance from a point to a fixed body, negative inside [m], and the unit vector to it.
 
@@ -31,14 +33,25 @@ def measure_distance(plan: PlanTable, i: int, x: float, y: float) -> tuple[float
         if i == 2:
             return plan.walls[2] - x, 1.0, 0.0
         return plan.walls[3] - y, 0.0, 1.0
-    corners = plan.solid[i - WALLS]
-    count = len(corners)
+    return measure_polygon(plan.solid, i - WALLS, x, y)
+
+
+@compiled
+def measure_polygon(solid: np.ndarray, i: int, x: float, y: float) -> tuple[float, float, float]:
+    """Return the distance from a point to a convex polygon, negative inside [m], and the unit vector to it.
+
+    Args:
+        solid: corners of all polygons, shape (S, C, 2) [m].
+        i: polygon.
+        x, y: [m].
+    """
+    count = solid.shape[1]
     inside, in_x, in_y = -math.inf, 0.0, 0.0  # by the nearest face, where the point is behind all of them
     nearest, px, py = math.inf, 0.0, 0.0
     for a in range(count):
         b = a + 1 if a + 1 < count else 0
-        ax, ay = corners[a, 0], corners[a, 1]
-        ex, ey = corners[b, 0] - ax, corners[b, 1] - ay
+        ax, ay = solid[i, a, 0], solid[i, a, 1]
+        ex, ey = solid[i, b, 0] - ax, solid[i, b, 1] - ay
         square = ex * ex + ey * ey
         if square == 0.0:  # filled up
             continue
@@ -62,14 +75,15 @@ def get_inset(plan: PlanTable, i: int, body: int) -> float:
     return plan.body[body].radius if i < WALLS else plan.inset[i - WALLS, body]
 
 
-@compiled
+@inlined
 def measure_gap(plan: PlanTable, body: int, x: float, y: float) -> float:
     """Return the gap between a body's disc at a point and the nearest fixed body, negative where they overlap [m]."""
-    gap = math.inf
-    for i in range(WALLS + len(plan.solid)):
-        inset = get_inset(plan, i, body)
+    walls, radius = plan.walls, plan.body[body].radius
+    gap = min(x - walls[0], y - walls[1], walls[2] - x, walls[3] - y) - radius
+    for i in range(len(plan.solid)):
+        inset = plan.inset[i, body]
         if inset > -math.inf:
-            gap = min(gap, measure_distance(plan, i, x, y)[0] - inset)
+            gap = min(gap, measure_polygon(plan.solid, i, x, y)[0] - inset)
     return gap
 
 

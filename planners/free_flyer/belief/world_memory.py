@@ -107,6 +107,7 @@ STRIKE = np.dtype(
         ("change", float),  # of the object's velocity, its size [m/s]
         ("lever", float),  # of the hit, see `offset.compute_lever`
         ("share", float),  # of the wished change that this is
+        ("is_slowed", bool),  # its robot lost its course: it is hit as fast as there is room to run up, see `run_up`
         ("normal", float, 2),  # unit vector from robot to object
         ("contact", float, 2),  # centre of the robot [m]
         ("robot_minus", float, 2),  # velocity of the robot just before and after [m/s]

@@ -116,7 +116,7 @@ def await_impact(
     strike = memory.strike[k, o]
     strike.index, strike.is_inserted, strike.misses, strike.replanned_at = index, False, 0, -math.inf
     strike.scale = strike.turn = strike.shift = 0.0
-    strike.is_decided, strike.is_solved = False, False
+    strike.is_decided, strike.is_solved, strike.is_slowed = False, False, False
     strike.robot, strike.time, strike.due, strike.astray_since = NO_ROBOT, math.inf, math.inf, math.inf
     if index != NO_IMPACT:
         strike.robot, strike.reference_normal = plan.impact[index].robot, plan.impact[index].normal

@@ -163,7 +163,7 @@ def predict_object(plan: PlanTable, memory: WorldMemory, k: int, o: int, t: floa
     return x + (t - strike.time) * vx, y + (t - strike.time) * vy, vx, vy
 
 
-@compiled
+@inlined
 def measure_aside(plan: PlanTable, memory: WorldMemory, k: int, r: int, o: int, motion: Motion, t: float) -> float:
     """Return the gap between robot r at a place and the nearest object but o, negative where they overlap [m]."""
     gap = math.inf
@@ -263,7 +263,7 @@ def move_clear(plan: PlanTable, r: int, x: float, y: float, margin: float) -> tu
     return x, y
 
 
-@compiled
+@inlined
 def measure_intrusion(
     plan: PlanTable, memory: WorldMemory, options: Options, k: int, way: Way, motion: Motion, t: float
 ) -> float:

@@ -24,7 +24,13 @@ from planners.free_flyer.next_impact.desired_velocity import (
 )
 from planners.free_flyer.next_impact.detour import go_round, move_clear
 from planners.free_flyer.next_impact.reachability import is_reachable
-from planners.free_flyer.next_impact.two_body import NO_CHANGE, solve_soft_two_body_impact, solve_two_body_impact
+from planners.free_flyer.next_impact.run_up import find_run_up_share
+from planners.free_flyer.next_impact.two_body import (
+    NO_CHANGE,
+    compute_lever_gain,
+    solve_soft_two_body_impact,
+    solve_two_body_impact,
+)
 from planners.free_flyer.tracking.course import (
     evaluate_course,
     evaluate_curve,
@@ -55,6 +61,11 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     desired = (vx + dx, vy + dy)
     restitution, ratio = find_law(plan, memory, k, r, o)
     mass, reach, limit = plan.body[r].mass, plan.body[r].radius + distance, plan.body[r].speed_limit
+    wished = math.hypot(dx, dy)
+    if strike.is_slowed:
+        gain = compute_lever_gain(restitution, mass, ratio * mass, strike.lever)
+        part = find_run_up_share(plan, memory, options, k, r, o, (x, y), (vx, vy), (dx, dy), reach, gain)
+        desired = (vx + part * dx, vy + part * dy)
     if options.exact:
         solution = solve_two_body_impact(
             (x, y),
@@ -99,7 +110,6 @@ def solve_strike(plan: PlanTable, memory: WorldMemory, options: Options, k: int,
     strike.object_plus[0] = centre_vx + solution.object_plus[0] - vx
     strike.object_plus[1] = centre_vy + solution.object_plus[1] - vy
     strike.change = math.hypot(solution.object_plus[0] - vx, solution.object_plus[1] - vy)
-    wished = math.hypot(dx, dy)
     strike.share = strike.change / wished if wished > NO_CHANGE else 1.0
 
 
@@ -157,6 +167,9 @@ def replan_course(plan: PlanTable, memory: WorldMemory, options: Options, k: int
     z = memory.filter[k, r]
     if math.hypot(begin[0] - z.position[0], begin[1] - z.position[1]) > options.replanning.off_course:
         memory.counts[k].lost += 1
+        if options.walls and not strike.is_answered:
+            strike.is_slowed = True
+            solve_strike(plan, memory, options, k, r, o, now)
         begin = (z.position[0], z.position[1], z.velocity[0], z.velocity[1], begin[4], begin[5])
         if options.retime and not postpone_impact(plan, memory, options, k, r, o, now):
             withdraw_impact(plan, memory, options, k, o, now)
