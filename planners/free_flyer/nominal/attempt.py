@@ -17,6 +17,7 @@ class Attempt:
         few: whether only few impacts of each object are tried.
         simple: whether several objects are only moved as each would be alone, or one after another; None: that and
             all that takes longer; False: what takes longer alone.
+        brief: whether every solution for one object is limited, and few remedies are tried for hasty motions.
         brisk: whether robots may take longer to reach the speed of a leg, so that legs are faster.
     """
 
@@ -25,6 +26,23 @@ class Attempt:
     few: bool = False
     brisk: bool = False
     simple: bool | None = None
+    brief: bool = False
+
+    def choose_options(self, options: PlanOptions) -> PlanOptions:
+        """Return the options of this attempt.
+
+        Args:
+            options: of the whole task.
+        """
+        enough = options.enough * (1.0 if options.thorough else 0.5**self.halvings)
+        few = options.few if self.few else None
+        own = replace(options, pieces=self.pieces, enough=enough, few=few, simple=self.simple)
+        if options.thorough and (self.brisk or self.halvings):
+            own = replace(own, enough_alone=options.enough_less)
+        if self.brief:
+            limits = options.brief_patience, options.brief_less
+            own = replace(own, pauses=options.brief_pauses, patience=limits[0], less=limits[1])
+        return own
 
     def cut_reserves(self, task: NominalTask, options: PlanOptions) -> NominalTask:
         """Return the task with the reserves of this attempt.

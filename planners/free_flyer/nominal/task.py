@@ -227,6 +227,14 @@ class PlanOptions:
         few: impacts of every one of several objects that are tried first, with each of the reserves; None: all are.
         simple: whether several objects are only moved as each would be alone, or one after another; None: that and
             all that takes longer; False: what takes longer alone.
+        pauses: of the solver in each solution for one number of impacts and pieces, above which the number is passed
+            over, or its best point is taken; None: any number. It is the limit of the attempt that is made.
+        brief_pauses: this limit in brief attempts, which are made with all, half and a quarter of the reserves before
+            longer ones; the shipped scenarios need fewer, and so many take a second or two.
+        brief_patience: factors as `patience`, in brief attempts.
+        brief_less: shares as `less`, in brief attempts.
+        finer: number of pieces per leg of the last brief attempts, for legs that have to be both quick and round
+            something; more take several times as long.
         expected: number of impacts to try first, then one more, then fewer, and none with more; None: count up from the
             fewest.
         screen: whether it is told first, with each of the reserves, where there is no plan, see `screen_task`.
@@ -241,6 +249,7 @@ class PlanOptions:
         turns: factors of the time for starting and stopping, tried when motions prove too quick to be smoothed.
         words: number of sequences of impacts tried at each of these.
         haste: time for a plan with the impacts found so far, once planning is interrupted [s].
+        hasty: number of the last attempts whose impacts are tried then.
         diagnosis: greatest time for finding what to loosen where there is no plan; 0: it is not said [s].
         remedy_room: by which a conjunct that is to be loosened is loosened more when that is tried [m].
         thorough: whether what to loosen is said, and robustness is improved for longer than there is a plan.
@@ -272,6 +281,11 @@ class PlanOptions:
     thrust: float | None = None
     few: int | None = 3
     simple: bool | None = None
+    pauses: int | None = None
+    brief_pauses: int = 2500
+    brief_patience: tuple[float, ...] = (1.05, 1.5)
+    brief_less: tuple[float, ...] = (1.0, 0.5)
+    finer: int = 4
     expected: int | None = None
     screen: bool = False
     many_impacts: int = 3
@@ -282,6 +296,7 @@ class PlanOptions:
     turns: tuple[float, ...] = (1.0, 1.5)
     words: int = 3
     haste: float = 5.0
+    hasty: int = 3
     diagnosis: float = 20.0
     remedy_room: float = 0.02
     thorough: bool = True
