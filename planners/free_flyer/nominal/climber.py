@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 from planners.budget import Budget, Clock, get_clock, use_clock
 from planners.errors import PlanningError, SolverFailed
@@ -36,6 +38,9 @@ class Climber:
         hurry: there is a plan already, so nothing slow is tried.
         rho: greatest robustness of the event grid, once it is known [m].
         failure: of the best motions, where less robust ones were found.
+        brief: whether few remedies are tried for hasty motions.
+        longest: time for the search for impacts [s].
+        fewest: least number of impacts, with one object.
         optimum: of the event grid, once it is known; an earlier attempt may have it.
     """
 
@@ -46,6 +51,9 @@ class Climber:
     hurry: bool = False
     rho: float | None = None
     failure: PlanningError | None = None
+    brief: bool = False
+    longest: float = math.inf
+    fewest: int = 0
     optimum: RobustnessOptimum | None = None
 
     def climb(self) -> Plan:
@@ -58,10 +66,12 @@ class Climber:
         if options.screen:
             with budget.stage("screening"):
                 screen_task(task, self.max_impacts, options)
-        search = maximise_robustness if len(task.scenario.objects) == 1 else maximise_jointly
+        search: Callable[..., RobustnessOptimum] = maximise_jointly
+        if len(task.scenario.objects) == 1:
+            search = partial(maximise_robustness, fewest=self.fewest)
         with budget.stage("robustness"):
             # An attempt leaves time for the next one.
-            part = budget.share(self._find_time_to_search())
+            part = budget.share(min(self._find_time_to_search(), self.longest))
             optimum = self.optimum = self.optimum or search(task, self.max_impacts, part, options)
             self.rho = optimum.rho
             late = optimum.found is not None or get_clock().stopped
@@ -111,7 +121,7 @@ class Climber:
                 return plan_events(*quick, [], budget, options)
             except PlanningError:
                 pass  # the plan with all reserves is left
-        if options.pauses is not None:
+        if self.brief:
             return self._finish_briefly(optimum)
         rough: list[Word] = []
         plans: list[Plan] = []

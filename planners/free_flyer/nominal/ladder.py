@@ -57,6 +57,7 @@ def climb_ladder(
             tried = replace(tried, least=max(options.least, best.robustness))
         full = replace(attempt, brief=False)
         climber = Climber(attempt.cut_reserves(task, options), max_impacts, budget, tried, hurry=best is not None)
+        climber.brief = attempt.brief
         before = climbers.get(full)
         if before is not None and before.optimum is not None and before.optimum.complete:
             climber.optimum = before.optimum
@@ -76,6 +77,8 @@ def climb_ladder(
             shallow = best.robustness < options.deep * best.bound
         satisfying = climber.rho is None or plan.robustness >= options.satisfying * climber.rho
         if not options.thorough or (satisfying and not shallow):
+            if attempt.brief and best is plan:
+                best = _improve_plan(plan, climber, options)
             break
         trials.append(Trial(attempt, climber.failure, climber.rho))
     if best is None and get_clock().stopped and options.haste:
@@ -86,13 +89,28 @@ def climb_ladder(
         failure = trials[0].error
         assert failure is not None
         raise failure
-    hardest = max((trial.attempt for trial in trials), key=lambda attempt: (attempt.halvings, attempt.brisk))
+    hardest = max((trial.attempt for trial in trials), key=Attempt.rank)
     least = hardest.cut_reserves(task, options)
     complete = budget.left > 0.0
     verdict = judge_trials(_drop_undecided(trials) or trials, least, max_impacts, budget, complete)
     # What to loosen is told within a few seconds more than there were.
     options = replace(options, diagnosis=min(options.diagnosis, max(budget.left, options.haste)))
     raise explain_failure(verdict, least, max_impacts, budget, options)
+
+
+def _improve_plan(plan: Plan, climber: Climber, options: PlanOptions) -> Plan:
+    """Return a more robust plan with as much in reserve, or the plan of a brief attempt, if it leaves nothing open."""
+    optimum, budget = climber.optimum, climber.budget
+    if optimum is None or optimum.complete or plan.robustness >= options.enough * plan.bound or budget.left <= 0.0:
+        return plan
+    longer = replace(climber.options, pauses=None, least=max(options.least, plan.robustness))
+    longest = options.improve_share * budget.limit
+    again = Climber(climber.task, climber.max_impacts, budget, longer, brief=True, longest=longest)
+    again.fewest = optimum.size.impacts
+    with suppress(PlanningError):
+        other = again.climb()
+        return other if other.robustness > plan.robustness else plan
+    return plan
 
 
 def _plan_hastily(climbers: Sequence[Climber]) -> Plan | None:
@@ -143,9 +161,11 @@ def _exclude_pieces(
     It is tried once for every number of pieces, and where all attempts so far were proofs: a task without a plan is
     then told by one model instead of six, and there is time for every number of pieces.
     """
+    if attempt.slanted:
+        return False
     scenario, pieces = task.scenario, attempt.pieces
     alone = len(scenario.objects) == 1 and not scenario.starts_moving
-    decided = _drop_undecided(trials)
+    decided = trials if attempt.brief else _drop_undecided(trials)
     if not options.thorough or not alone or not decided or not all(trial.is_proof for trial in decided):
         return False
     if pieces not in excluded:
@@ -178,8 +198,8 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
     take longer to become faster. Legs get more pieces where it has no plan without: first as many as the shortest ways
     round obstacles have, with each of the reserves; when these have failed as well, all other numbers.
 
-    One object is first tried briefly with each of the reserves, for the same reason, and then with the least of them
-    and more pieces: legs that are both quick and go round something find room that two pieces lack.
+    One object is first tried briefly with each of the reserves, for the same reason, and then with bodies that may pass
+    each other at a slant: with the least reserves, and with those for which the brief attempts proved nothing.
     """
     needed = count_pieces(task.scenario, task.demands, task.reserves.wall) if options.thorough else None
     more = range(max(options.pieces) + 1, options.most_pieces + 1) if options.thorough else ()
@@ -195,14 +215,20 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
         attempt = replace(kind, halvings=halvings)
         yield from _skip_proven(attempt, trials)
         if trials and trials[-1].rho is None:
-            if options.thorough and attempt.is_slow(task):
+            if options.thorough and attempt.is_slow(task) and not kind.simple:
                 yield from _skip_proven(replace(attempt, brisk=True), trials)
             for number in first:
                 longer = replace(attempt, pieces=(number,), brief=False)
                 if not any(trial.attempt == longer for trial in trials):
                     yield from _skip_proven(longer, trials)
+        if kind.simple and halvings == options.halvings and all(trial.rho is None for trial in trials):
+            # Half of the reserves more often suffice than robots that take longer to become faster.
+            slow = (replace(kind, halvings=less) for less in range(options.halvings + 1))
+            yield from (replace(one, brisk=True) for one in slow if one.is_slow(task))
         if kind.brief and halvings == options.halvings:
-            yield replace(attempt, pieces=(max(options.finer, *first, 1),))
+            slants = [replace(kind, halvings=less, pieces=options.slanted_pieces) for less in range(halvings, -1, -1)]
+            proven = {trial.attempt.halvings for trial in trials if trial.is_proof} - {halvings}
+            yield from (replace(one, slanted=True) for one in slants if one.halvings not in proven)
     if len(task.scenario.objects) == 1 or all(trial.rho is None for trial in trials):
         rest = [(pieces,) for pieces in more if pieces not in first]
         for halvings, pieces in itertools.product(range(options.halvings + 1), rest):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
@@ -12,6 +12,7 @@ from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import Word
 from planners.free_flyer.nominal.leg_times import Correction
 from planners.free_flyer.reserves import Reserves
+from planners.free_flyer.specification.direction import DIRECTIONS
 from planners.free_flyer.specification.formula_rows import add_demands
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import Demands
@@ -32,6 +33,7 @@ class NominalTask:
         frame: whose units the scenario is in.
         corrections: least times between events, and room for impacts, beyond those of the reserves.
         sharp: whether speeds of several objects are capped by what a word says of their first and last impacts.
+        slanted: whether bodies may pass each other at a slant, too, which takes more binaries.
         easy_nodes: of branch and bound, in proofs that leave out what is in the way.
         proof_nodes: of branch and bound, in proofs for the least of all reserves.
     """
@@ -44,6 +46,7 @@ class NominalTask:
     frame: Frame = field(default_factory=Frame)
     corrections: tuple[Correction, ...] = ()
     sharp: bool = False
+    slanted: bool = False
     easy_nodes: int = 200
     proof_nodes: int = 5000
 
@@ -74,6 +77,8 @@ class NominalTask:
         """
         shape = size.impacts, rho, self.reserves, size.pieces, word, elastic, self.sharp, loose_speeds
         grid = build_event_grid(self.scenario, *shape)
+        if self.slanted:
+            grid = replace(grid, axes=DIRECTIONS)
         for correction in self.corrections:
             correction.add_to(grid)
         return grid, add_demands(grid, self.demands, self.scenario.control_period, size.passing, avoid)
@@ -230,11 +235,12 @@ class PlanOptions:
         pauses: of the solver in each solution for one number of impacts and pieces, above which the number is passed
             over, or its best point is taken; None: any number. It is the limit of the attempt that is made.
         brief_pauses: this limit in brief attempts, which are made with all, half and a quarter of the reserves before
-            longer ones; the shipped scenarios need fewer, and so many take a second or two.
+            longer ones; the shipped scenarios need fewer, and so many take some seconds.
         brief_patience: factors as `patience`, in brief attempts.
         brief_less: shares as `less`, in brief attempts.
-        finer: number of pieces per leg of the last brief attempts, for legs that have to be both quick and round
-            something; more take several times as long.
+        improve_share: share of all time for more robust impacts, once a brief attempt has a plan.
+        slanted_pieces: numbers of pieces per leg of the last brief attempts, in which bodies may pass each other at a
+            slant, too: a robot that overtakes what it has just hit then goes a third as far round it.
         expected: number of impacts to try first, then one more, then fewer, and none with more; None: count up from the
             fewest.
         screen: whether it is told first, with each of the reserves, where there is no plan, see `screen_task`.
@@ -282,10 +288,11 @@ class PlanOptions:
     few: int | None = 3
     simple: bool | None = None
     pauses: int | None = None
-    brief_pauses: int = 2500
+    brief_pauses: int = 4000
     brief_patience: tuple[float, ...] = (1.05, 1.5)
     brief_less: tuple[float, ...] = (1.0, 0.5)
-    finer: int = 4
+    improve_share: float = 0.15
+    slanted_pieces: tuple[int, ...] = (2, 3)
     expected: int | None = None
     screen: bool = False
     many_impacts: int = 3
