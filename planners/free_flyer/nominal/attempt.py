@@ -17,7 +17,7 @@ class Attempt:
         few: whether only few impacts of each object are tried.
         simple: whether several objects are only moved as each would be alone, or one after another; None: that and
             all that takes longer; False: what takes longer alone.
-        slanted: whether bodies may pass each other at a slant, too.
+        slanted: whether bodies may pass each other at a slant, too, see `NominalTask`.
         brief: whether every solution for one object is limited, and few remedies are tried for hasty motions.
         brisk: whether robots may take longer to reach the speed of a leg, so that legs are faster.
     """

@@ -33,7 +33,8 @@ class NominalTask:
         frame: whose units the scenario is in.
         corrections: least times between events, and room for impacts, beyond those of the reserves.
         sharp: whether speeds of several objects are capped by what a word says of their first and last impacts.
-        slanted: whether bodies may pass each other at a slant, too, which takes more binaries.
+        slanted: whether bodies may pass each other at a slant, too, and pieces of a leg on which the only object rests
+            differ in length; both let robots be quicker, and take more binaries.
         easy_nodes: of branch and bound, in proofs that leave out what is in the way.
         proof_nodes: of branch and bound, in proofs for the least of all reserves.
     """
@@ -75,7 +76,7 @@ class NominalTask:
         Raises:
             Infeasible: the variable bounds alone exclude every plan.
         """
-        shape = size.impacts, rho, self.reserves, size.pieces, word, elastic, self.sharp, loose_speeds
+        shape = size.impacts, rho, self.reserves, size.pieces, word, elastic, self.sharp, loose_speeds, self.slanted
         grid = build_event_grid(self.scenario, *shape)
         if self.slanted:
             grid = replace(grid, axes=DIRECTIONS)
@@ -240,7 +241,7 @@ class PlanOptions:
         brief_less: shares as `less`, in brief attempts.
         improve_share: share of all time for more robust impacts, once a brief attempt has a plan.
         slanted_pieces: numbers of pieces per leg of the last brief attempts, in which bodies may pass each other at a
-            slant, too: a robot that overtakes what it has just hit then goes a third as far round it.
+            slant: a robot that overtakes what it has just hit then goes a third as far round it.
         expected: number of impacts to try first, then one more, then fewer, and none with more; None: count up from the
             fewest.
         screen: whether it is told first, with each of the reserves, where there is no plan, see `screen_task`.

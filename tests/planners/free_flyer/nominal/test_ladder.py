@@ -13,6 +13,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import build_scenario
 from planners.budget import Budget, Clock, use_clock, watch_planning
 from planners.errors import Infeasible, SolverFailed
+from planners.free_flyer.nominal.event_grid import build_event_grid
 from planners.free_flyer.nominal.ladder import list_attempts
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
 from planners.free_flyer.nominal.robustness import maximise_robustness
@@ -20,6 +21,7 @@ from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.verdict import Trial
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.requirement import read_demands
+from planners.mixed_integer import evaluate
 from tests.planners.free_flyer.plans import load
 
 UNDECIDED = SolverFailed("robustness", "undecided", "raise the time limit")
@@ -166,3 +168,30 @@ def test_impacts_without_smooth_motions_become_a_plan_of_less_reserves_once_plan
     assert plan.validated
     assert len(plan.impacts) == 3
     assert time.process_time() - stopped[0] < 20.0
+
+
+@pytest.mark.slow
+def test_a_robot_throws_an_object_stops_it_and_is_back_in_time() -> None:
+    """Pieces of equal length leave it too late: it must be out of the object's way before it goes back."""
+    task = make_dock().override(
+        {
+            "formula": "G[50,60] ann in left & F[0,60] ball in right",
+            "robots.ann.start": (1.0, 1.0),
+            "robots.ann.force_limit": 1.5,
+            "objects.ball.start": (3.0, 2.0),
+            "regions": {"left": _box(1.0, 1.0), "right": _box(6.5, 2.0)},
+        }
+    )
+    with use_clock(Clock(time.process_time)):
+        plan = make_free_flyer_plan(task)
+    assert plan.validated
+    assert plan.robustness > 0.1
+
+
+def test_legs_beside_a_resting_object_may_have_pieces_of_different_lengths() -> None:
+    task = make_task(make_dock().override({"formula": "G[55,60] ann in dock"}))
+    grid = build_event_grid(task.scenario, 2, (1e-3, 0.5), task.reserves, pieces=3, free=True)
+    steps = np.diff(evaluate(grid.times, np.sqrt(np.arange(len(grid.model.lower), dtype=float))))
+    assert np.ptp(steps[:3]) > 0.1  # any numbers tell which times are variables of their own
+    assert np.ptp(steps[6:]) > 0.1
+    np.testing.assert_allclose(steps[3:6], steps[3])
