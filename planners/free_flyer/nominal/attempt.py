@@ -17,6 +17,8 @@ class Attempt:
         few: whether only few impacts of each object are tried.
         simple: whether several objects are only moved as each would be alone, or one after another; None: that and
             all that takes longer; False: what takes longer alone.
+        slanted: whether bodies may pass each other at a slant, too, see `NominalTask`.
+        brief: whether every solution for one object is limited, and few remedies are tried for hasty motions.
         brisk: whether robots may take longer to reach the speed of a leg, so that legs are faster.
     """
 
@@ -25,6 +27,24 @@ class Attempt:
     few: bool = False
     brisk: bool = False
     simple: bool | None = None
+    slanted: bool = False
+    brief: bool = False
+
+    def choose_options(self, options: PlanOptions) -> PlanOptions:
+        """Return the options of this attempt.
+
+        Args:
+            options: of the whole task.
+        """
+        enough = options.enough * (1.0 if options.thorough else 0.5**self.halvings)
+        few = options.few if self.few else None
+        own = replace(options, pieces=self.pieces, enough=enough, few=few, simple=self.simple)
+        if options.thorough and (self.brisk or self.halvings):
+            own = replace(own, enough_alone=options.enough_less)
+        if self.brief:
+            limits = options.brief_patience, options.brief_less
+            own = replace(own, pauses=options.brief_pauses, patience=limits[0], less=limits[1])
+        return own
 
     def cut_reserves(self, task: NominalTask, options: PlanOptions) -> NominalTask:
         """Return the task with the reserves of this attempt.
@@ -33,11 +53,16 @@ class Attempt:
             task: with all reserves.
             options: how much longer brisk robots take.
         """
+        task = replace(task, slanted=self.slanted)
         for _ in range(self.halvings):
             task = replace(task, reserves=replace(task.reserves.halved(), underway=1.0))
         if self.brisk:
             task = replace(task, reserves=replace(task.reserves, turn=options.brisk * task.reserves.turn))
         return task
+
+    def rank(self) -> tuple[int, bool, bool]:
+        """Return how little of the reserves is left, and then whether robots are slow and bodies pass along axes."""
+        return self.halvings, self.brisk, not self.slanted
 
     def cut_to_least(self, task: NominalTask, options: PlanOptions) -> NominalTask:
         """Return the task with reserves of which those of every attempt with so many pieces ask at least as much.

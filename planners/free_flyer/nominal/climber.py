@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 from planners.budget import Budget, Clock, get_clock, use_clock
 from planners.errors import PlanningError, SolverFailed
@@ -13,6 +15,7 @@ from planners.free_flyer.nominal.finishing import (
     correct_word,
     plan_composed,
     plan_events,
+    plan_found,
     plan_long_ways,
     plan_patiently,
 )
@@ -35,6 +38,10 @@ class Climber:
         hurry: there is a plan already, so nothing slow is tried.
         rho: greatest robustness of the event grid, once it is known [m].
         failure: of the best motions, where less robust ones were found.
+        brief: whether few remedies are tried for hasty motions.
+        longest: time for the search for impacts [s].
+        fewest: least number of impacts, with one object.
+        optimum: of the event grid, once it is known; an earlier attempt may have it.
     """
 
     task: NominalTask
@@ -44,6 +51,10 @@ class Climber:
     hurry: bool = False
     rho: float | None = None
     failure: PlanningError | None = None
+    brief: bool = False
+    longest: float = math.inf
+    fewest: int = 0
+    optimum: RobustnessOptimum | None = None
 
     def climb(self) -> Plan:
         """Return a plan.
@@ -55,22 +66,41 @@ class Climber:
         if options.screen:
             with budget.stage("screening"):
                 screen_task(task, self.max_impacts, options)
-        search = maximise_robustness if len(task.scenario.objects) == 1 else maximise_jointly
+        search: Callable[..., RobustnessOptimum] = maximise_jointly
+        if len(task.scenario.objects) == 1:
+            search = partial(maximise_robustness, fewest=self.fewest)
         with budget.stage("robustness"):
             # An attempt leaves time for the next one.
-            part = budget.share(self._find_time_to_search())
-            optimum = search(task, self.max_impacts, part, options)
+            part = budget.share(min(self._find_time_to_search(), self.longest))
+            optimum = self.optimum = self.optimum or search(task, self.max_impacts, part, options)
             self.rho = optimum.rho
-            quick = None if optimum.found else quicken_legs(task, optimum, search, part, options)
-        try:
-            return self._finish(optimum, quick)
-        except PlanningError:
-            clock = get_clock()
-            if not clock.stopped or not options.haste:
-                raise
-        # The search was interrupted; its impacts are worth a few seconds more.
-        with use_clock(Clock(clock.read)):
-            return plan_events(task, optimum, [], budget.share(options.haste), replace(options, thorough=False))
+            late = optimum.found is not None or get_clock().stopped
+            quick = None if late else quicken_legs(task, optimum, search, part, options)
+        return self._finish(optimum, quick)
+
+    def plan_hastily(self) -> Plan:
+        """Return a plan with the impacts of a search that was interrupted: they are worth a few seconds more.
+
+        Raises:
+            PlanningError: there are none, or no smooth motions were found, not even with the least of the reserves.
+        """
+        task, optimum, options = self.task, self.optimum, replace(self.options, words=1, turns=self.options.turns[:1])
+        if optimum is None:
+            raise SolverFailed("smoothing", "no impacts were found", "raise the time limit")
+        options = replace(options, patience=options.brief_patience, less=options.brief_less)
+        with use_clock(Clock(get_clock().read)):
+            budget = self.budget.share(options.haste)
+            if optimum.found is not None:
+                return plan_composed(task, optimum, optimum.found, budget, options)
+            try:
+                return plan_events(task, optimum, [], budget, replace(options, thorough=False))
+            except PlanningError:
+                if optimum.events is None:
+                    raise
+            for _ in range(options.halvings):
+                task = replace(task, reserves=replace(task.reserves.halved(), underway=1.0))
+            word = optimum.events.sequence.hitters
+            return correct_word(task, optimum, word, self.budget.share(options.haste), options)
 
     def _find_time_to_search(self) -> float:
         """Return how long this attempt may look for impacts [s]."""
@@ -91,6 +121,8 @@ class Climber:
                 return plan_events(*quick, [], budget, options)
             except PlanningError:
                 pass  # the plan with all reserves is left
+        if self.brief:
+            return self._finish_briefly(optimum)
         rough: list[Word] = []
         plans: list[Plan] = []
         try:
@@ -124,6 +156,26 @@ class Climber:
         if not plans:
             plans.append(plan_patiently(task, optimum, rough, self.failure, budget, options))
         return max(plans, key=lambda plan: plan.robustness)
+
+    def _finish_briefly(self, optimum: RobustnessOptimum) -> Plan:
+        """Return a plan of one object where that takes little time; what takes longer is left to later attempts."""
+        hasty = replace(self.options, words=1, turns=self.options.turns[:1])
+        rough: list[Word] = []
+        try:
+            if optimum.events is not None and optimum.size.pieces > MANY:
+                return plan_found(self.task, optimum, optimum.events, self.budget, hasty)
+            return plan_events(self.task, optimum, rough, self.budget, hasty)
+        except PlanningError as error:
+            self.failure = error
+        plans: list[Plan] = []
+        words = rough or ([optimum.events.sequence.hitters] if optimum.events is not None else [])
+        for word in words[:1]:
+            with suppress(PlanningError):
+                plans.append(correct_word(self.task, optimum, word, self.budget, self.options))
+        plans = plans or self._plan_fewer(optimum)
+        if not plans:
+            raise self.failure
+        return plans[0]
 
     def _plan_fewer(self, optimum: RobustnessOptimum) -> list[Plan]:
         """Return the most robust plan with fewer impacts than a sequence that is too quick, if there is one."""

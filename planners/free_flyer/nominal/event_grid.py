@@ -64,6 +64,7 @@ class EventGrid:
         first_turn: share of this time that counts on the first leg.
         apart: pairs of bodies with the pieces on which rows keep them apart.
         axes: directions along which rows may keep them apart, shape (n, 2).
+        free: whether pieces of a leg on which the only object rests may be of different lengths.
     """
 
     model: Model
@@ -81,6 +82,7 @@ class EventGrid:
     first_turn: float = 1.0
     apart: set[tuple[str, str, int]] = field(default_factory=set)
     axes: np.ndarray = field(default_factory=lambda: AXES)
+    free: bool = False
 
     @property
     def count(self) -> int:
@@ -129,6 +131,7 @@ def build_event_grid(
     elastic: bool = False,
     sharp: bool = False,
     loose_speeds: bool = True,
+    free: bool = False,
 ) -> EventGrid:
     """Build the model of all motions with a given number of impacts, without any formula or distances.
 
@@ -142,6 +145,7 @@ def build_event_grid(
         elastic: whether speeds, and rows that are added in parts, may be violated; see `Model`.
         sharp: whether speeds of several objects are capped by what the word says of their first and last impacts.
         loose_speeds: whether an elastic model may exceed speeds, too.
+        free: whether pieces of a leg on which the only object rests may be of different lengths.
 
     Returns:
         The grid; `add_demands` adds the formula, the stages their objectives, `solve_apart` the distances.
@@ -153,7 +157,8 @@ def build_event_grid(
     """
     model = Model(f"event grid of {scenario.name} with {impacts} impacts", elastic)
     objects = tuple(scenario.objects)
-    score, times = model.variable(*rho), _add_times(model, scenario, impacts, pieces, reserves)
+    free = free and len(objects) == 1 and pieces > 1
+    score, times = model.variable(*rho), _add_times(model, scenario, impacts, pieces, reserves, free)
     events = times[::pieces]
     grid = EventGrid(
         model=model,
@@ -174,6 +179,7 @@ def build_event_grid(
         turns={name: reserves.turning(robot) / pieces for name, robot in scenario.robots.items()},
         moving=tuple(name for name, body in scenario.objects.items() if any(body.start_velocity)),
         first_turn=reserves.underway if scenario.starts_moving else 1.0,
+        free=free,
     )
     for event in range(1, impacts + 1):
         _add_impact_rows(grid, scenario, event, reserves.run_up)
@@ -192,14 +198,25 @@ def build_event_grid(
 
 
 def _add_times(
-    model: Model, scenario: FreeFlyerScenario, impacts: int, pieces: int, reserves: Reserves
+    model: Model, scenario: FreeFlyerScenario, impacts: int, pieces: int, reserves: Reserves, free: bool
 ) -> list[Affine | float]:
+    """Return the times of all knots; free within legs on which the only object rests: elsewhere that is bilinear."""
     first, gap, last = reserves.times(scenario.horizon)
     if scenario.starts_moving:
         first = min(first, gap)
     latest = max(scenario.horizon - last, first)
     events = [model.variable(first, latest, rigid=True) for _ in range(impacts)]
-    return refine([0.0, *events, scenario.horizon], pieces)
+    times = refine([0.0, *events, scenario.horizon], pieces)
+    if not free:
+        return times
+    (body,) = scenario.objects.values()
+    legs = [0] * (not any(body.start_velocity)) + [impacts] * (body.rest and impacts > 0)
+    for k in (leg * pieces + piece for leg in legs for piece in range(1, pieces)):
+        times[k] = model.variable(0.0, scenario.horizon, rigid=True)
+    for leg in legs:
+        for before, after in itertools.pairwise(times[leg * pieces : (leg + 1) * pieces + 1]):
+            model.require(before - after)
+    return times
 
 
 def _add_hits(model: Model, scenario: FreeFlyerScenario, given: Hitter | None) -> dict[Hitter, Affine | float]:

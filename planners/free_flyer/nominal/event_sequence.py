@@ -26,17 +26,21 @@ class EventSequence:
     Args:
         times: t_0 = 0, impact times, t_{K+1} = T, shape (K+2,) [s].
         paths: object name to its positions at these times, each shape (K+2, 2) [m].
-        knots: robot name to its positions, every leg cut into n equal pieces, each shape (n (K+1) + 1, 2) [m].
+        knots: robot name to its positions, every leg cut into n pieces, each shape (n (K+1) + 1, 2) [m].
         hitters: names of robot and object of each impact.
+        moments: of the robots' knots, shape (n (K+1) + 1,) [s]; None: pieces of a leg are equally long.
     """
 
     times: np.ndarray
     paths: dict[str, np.ndarray]
     knots: dict[str, np.ndarray]
     hitters: Word
+    moments: np.ndarray | None = None
 
     def knot_times(self, count: int) -> np.ndarray:
         """Return the times of so many knots, equally many on every leg, shape (count,) [s]."""
+        if self.moments is not None and count == len(self.moments):
+            return self.moments
         return np.interp(np.linspace(0, len(self.times) - 1, count), np.arange(len(self.times)), self.times)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from planners.budget import Budget
-from planners.errors import Infeasible, PlanningError
+from planners.budget import Budget, get_clock
+from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.event_sequence import EventSequence, Word, compute_impacts, make_object_curve
 from planners.free_flyer.nominal.least_cost import CostOptimum, minimise_path_cost
 from planners.free_flyer.nominal.leg_times import Correction, find_rooms, find_waits
@@ -41,6 +41,13 @@ def plan_long_ways(
     except PlanningError:
         return plan
     return other if other.effort < plan.effort and other.robustness >= plan.robustness - TOLERANCE else plan
+
+
+def plan_found(
+    task: NominalTask, optimum: RobustnessOptimum, events: CostOptimum, budget: Budget, options: PlanOptions
+) -> Plan:
+    """Smooth the events that were found along with the robustness."""
+    return _finish(task, optimum, optimum.rho, events, budget, options)
 
 
 def plan_events(
@@ -240,6 +247,8 @@ def _finish(
 ) -> Plan:
     """Smooth the motions, check the plan, and store in it what the independent simulation measured."""
     scenario, sequence, reserves = task.scenario, events.sequence, task.reserves
+    if get_clock().stopped:
+        raise SolverFailed("smoothing", "interrupted", "raise the time limit")
     if options.thrust is not None:
         reserves = replace(reserves, thrust=options.thrust)
     with budget.stage("smoothing"):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
-from planners.budget import Budget, Work
+from planners.budget import Budget, Work, get_clock
 from planners.errors import Infeasible, PlanningError
 from planners.free_flyer.frame import Frame
 from planners.free_flyer.nominal.attempt import Attempt
@@ -40,21 +41,29 @@ def climb_ladder(
         max_impacts = min(max_impacts, options.expected + 1)
     trials: list[Trial] = []
     best: Plan | None = None
+    several = len(scenario.objects) > 1
     excluded: dict[tuple[int, ...], bool] = {}
+    climbers: dict[Attempt, Climber] = {}
     for attempt in list_attempts(task, options, trials):
         if trials and budget.left <= 0.0:
             break
         if _exclude_pieces(task, attempt, trials, excluded, max_impacts, budget, options):
             continue
         shallow = best is not None and best.robustness < options.deep * best.bound
-        if best is not None and not attempt.may_improve(len(scenario.objects) > 1, shallow):
+        if best is not None and not attempt.may_improve(several, shallow):
             continue
-        enough = options.enough * (1.0 if options.thorough else 0.5**attempt.halvings)
-        few = options.few if attempt.few else None
-        tried = replace(options, pieces=attempt.pieces, enough=enough, few=few, simple=attempt.simple)
-        if options.thorough and (attempt.brisk or attempt.halvings):
-            tried = replace(tried, enough_alone=options.enough_less)
+        tried = attempt.choose_options(options)
+        if best is not None and not several:
+            tried = replace(tried, least=max(options.least, best.robustness))
+        full = replace(attempt, brief=False)
         climber = Climber(attempt.cut_reserves(task, options), max_impacts, budget, tried, hurry=best is not None)
+        climber.brief = attempt.brief
+        before = climbers.get(full)
+        if before is not None and before.optimum is not None and before.optimum.complete:
+            climber.optimum = before.optimum
+        climbers[full] = climber
+        # What a brief attempt could not tell, this one does.
+        trials[:] = [trial for trial in trials if trial.attempt != replace(full, brief=True)]
         try:
             plan = climber.climb()
         except PlanningError as error:
@@ -64,21 +73,52 @@ def climb_ladder(
         if best is None or plan.robustness > best.robustness:
             best = plan
         shallow = bool(attempt.simple) and best.robustness < options.deep * best.bound
+        if attempt.brief and climber.optimum is not None and not climber.optimum.complete:
+            shallow = best.robustness < options.deep * best.bound
         satisfying = climber.rho is None or plan.robustness >= options.satisfying * climber.rho
         if not options.thorough or (satisfying and not shallow):
+            if attempt.brief and best is plan:
+                best = _improve_plan(plan, climber, options)
             break
         trials.append(Trial(attempt, climber.failure, climber.rho))
+    if best is None and get_clock().stopped and options.haste:
+        best = _plan_hastily([*climbers.values()][-options.hasty :])
     if best is not None:
         return best
     if not options.thorough:
         failure = trials[0].error
         assert failure is not None
         raise failure
-    hardest = max((trial.attempt for trial in trials), key=lambda attempt: (attempt.halvings, attempt.brisk))
+    hardest = max((trial.attempt for trial in trials), key=Attempt.rank)
     least = hardest.cut_reserves(task, options)
     complete = budget.left > 0.0
-    verdict = judge_trials(trials, least, max_impacts, budget, complete)
+    verdict = judge_trials(_drop_undecided(trials) or trials, least, max_impacts, budget, complete)
+    # What to loosen is told within a few seconds more than there were.
+    options = replace(options, diagnosis=min(options.diagnosis, max(budget.left, options.haste)))
     raise explain_failure(verdict, least, max_impacts, budget, options)
+
+
+def _improve_plan(plan: Plan, climber: Climber, options: PlanOptions) -> Plan:
+    """Return a more robust plan with as much in reserve, or the plan of a brief attempt, if it leaves nothing open."""
+    optimum, budget = climber.optimum, climber.budget
+    if optimum is None or optimum.complete or plan.robustness >= options.enough * plan.bound or budget.left <= 0.0:
+        return plan
+    longer = replace(climber.options, pauses=None, least=max(options.least, plan.robustness))
+    longest = options.improve_share * budget.limit
+    again = Climber(climber.task, climber.max_impacts, budget, longer, brief=True, longest=longest)
+    again.fewest = optimum.size.impacts
+    with suppress(PlanningError):
+        other = again.climb()
+        return other if other.robustness > plan.robustness else plan
+    return plan
+
+
+def _plan_hastily(climbers: Sequence[Climber]) -> Plan | None:
+    """Return a plan with the latest impacts of attempts that were interrupted, if there are smooth motions for them."""
+    for climber in reversed(climbers):
+        with suppress(PlanningError):
+            return climber.plan_hastily()
+    return None
 
 
 def _exclude_object(
@@ -121,9 +161,12 @@ def _exclude_pieces(
     It is tried once for every number of pieces, and where all attempts so far were proofs: a task without a plan is
     then told by one model instead of six, and there is time for every number of pieces.
     """
+    if attempt.slanted:
+        return False
     scenario, pieces = task.scenario, attempt.pieces
     alone = len(scenario.objects) == 1 and not scenario.starts_moving
-    if not options.thorough or not alone or not trials or not all(trial.is_proof for trial in trials):
+    decided = trials if attempt.brief else _drop_undecided(trials)
+    if not options.thorough or not alone or not decided or not all(trial.is_proof for trial in decided):
         return False
     if pieces not in excluded:
         least = attempt.cut_to_least(task, options)
@@ -140,6 +183,11 @@ def _exclude_pieces(
     return excluded[pieces]
 
 
+def _drop_undecided(trials: Sequence[Trial]) -> list[Trial]:
+    """Return the attempts but for brief ones that found no impacts and excluded none."""
+    return [one for one in trials if one.is_proof or one.rho is not None or not one.attempt.brief]
+
+
 def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Trial]) -> Iterator[Attempt]:
     """Yield the attempts in the order in which they are made.
 
@@ -149,22 +197,39 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
     have to be searched with all of them. Where the event grid has no plan, robots whose thrust limits their legs may
     take longer to become faster. Legs get more pieces where it has no plan without: first as many as the shortest ways
     round obstacles have, with each of the reserves; when these have failed as well, all other numbers.
+
+    One object is first tried briefly with each of the reserves, for the same reason, and then with bodies that may pass
+    each other at a slant: with the least reserves, and with those for which the brief attempts proved nothing.
     """
     needed = count_pieces(task.scenario, task.demands, task.reserves.wall) if options.thorough else None
     more = range(max(options.pieces) + 1, options.most_pieces + 1) if options.thorough else ()
     first = [pieces for pieces in more if needed is not None and needed <= pieces <= needed + 1]
     first = first if needed is not None and needed > max(options.pieces) else []
     several = options.thorough and options.few is not None and len(task.scenario.objects) > 1
-    kinds = [(True, True), (True, False), (False, None)] if several else [(False, None)]
-    for (few, simple), halvings in itertools.product(kinds, range(options.halvings + 1)):
-        attempt = Attempt(options.pieces, halvings, few, simple=simple)
+    kinds = [Attempt(options.pieces)]
+    if several:
+        kinds = [Attempt(options.pieces, few=True, simple=simple) for simple in (True, False)] + kinds
+    elif options.thorough and len(task.scenario.objects) == 1:
+        kinds = [Attempt(options.pieces, brief=True), *kinds]
+    for kind, halvings in itertools.product(kinds, range(options.halvings + 1)):
+        attempt = replace(kind, halvings=halvings)
         yield from _skip_proven(attempt, trials)
         if trials and trials[-1].rho is None:
-            if options.thorough and attempt.is_slow(task):
+            if options.thorough and attempt.is_slow(task) and not kind.simple:
                 yield from _skip_proven(replace(attempt, brisk=True), trials)
             for number in first:
-                yield from _skip_proven(replace(attempt, pieces=(number,)), trials)
-    if all(trial.rho is None for trial in trials):
+                longer = replace(attempt, pieces=(number,), brief=False)
+                if not any(trial.attempt == longer for trial in trials):
+                    yield from _skip_proven(longer, trials)
+        if kind.simple and halvings == options.halvings and all(trial.rho is None for trial in trials):
+            # Half of the reserves more often suffice than robots that take longer to become faster.
+            slow = (replace(kind, halvings=less) for less in range(options.halvings + 1))
+            yield from (replace(one, brisk=True) for one in slow if one.is_slow(task))
+        if kind.brief and halvings == options.halvings:
+            slants = [replace(kind, halvings=less, pieces=options.slanted_pieces) for less in range(halvings, -1, -1)]
+            proven = {trial.attempt.halvings for trial in trials if trial.is_proof} - {halvings}
+            yield from (replace(one, slanted=True) for one in slants if one.halvings not in proven)
+    if len(task.scenario.objects) == 1 or all(trial.rho is None for trial in trials):
         rest = [(pieces,) for pieces in more if pieces not in first]
         for halvings, pieces in itertools.product(range(options.halvings + 1), rest):
             attempt = Attempt(pieces, halvings)
@@ -172,8 +237,8 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
 
 
 def _skip_proven(attempt: Attempt, trials: Sequence[Trial]) -> Iterator[Attempt]:
-    """Yield the attempt, unless some object has no plan even alone: what takes longer does not change that."""
-    before = replace(attempt, simple=True)
+    """Yield the attempt, unless a shorter one has shown that it fails: more time does not change that."""
+    before = replace(attempt, brief=True) if attempt.simple is None else replace(attempt, simple=True)
     known = [trial for trial in trials if trial.attempt == before and isinstance(trial.error, Infeasible)]
-    if attempt.simple is not False or not known:
+    if attempt == before or not any(attempt.simple is False or trial.is_proof for trial in known):
         yield attempt

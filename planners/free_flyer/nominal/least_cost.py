@@ -310,7 +310,12 @@ def _read_sequence(task: NominalTask, grid: EventGrid, x: np.ndarray) -> EventSe
     for name, last in first.items():
         body = scenario.objects[name]
         paths[name][: last + 1] = np.array(body.start) + times[: last + 1, None] * np.array(body.start_velocity)
-    return EventSequence(times, paths, {name: knots[name] for name in scenario.robots}, word)
+    moments = None
+    if grid.free:
+        moments = evaluate(grid.times, x)
+        moments[:: grid.pieces] = times
+        moments = np.maximum.accumulate(np.minimum(moments, np.repeat(times, grid.pieces)[grid.pieces - 1 :]))
+    return EventSequence(times, paths, {name: knots[name] for name in scenario.robots}, word, moments)
 
 
 def read_word(grid: EventGrid, x: np.ndarray) -> Word:

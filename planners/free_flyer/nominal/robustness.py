@@ -35,6 +35,7 @@ class RobustnessOptimum:
             objects only where they need more impacts than one by one.
         found: grid of objects that are moved one after another, whose alternatives are kept.
         fewer: optima of fewer impacts or pieces that are less robust, the most robust one first.
+        complete: whether all sizes that were to be tried are decided.
     """
 
     size: GridSize
@@ -45,6 +46,7 @@ class RobustnessOptimum:
     events: CostOptimum | None = None
     found: WordGrid | None = None
     fewer: tuple[RobustnessOptimum, ...] = ()
+    complete: bool = True
 
 
 def maximise_robustness(
@@ -54,7 +56,8 @@ def maximise_robustness(
 
     Every number of impacts is solved to proven optimality or infeasibility (as far as the time limit allows), until
     one attains the geometric bound, which holds for every number. Legs of several pieces are tried for numbers that
-    are infeasible without them, and for the first number whose plan does not attain the bound.
+    are infeasible without them, and for the first number whose plan does not attain the bound. Where the pauses of each
+    solution are limited, numbers that they do not decide are passed over.
 
     Args:
         task: what is asked.
@@ -65,18 +68,19 @@ def maximise_robustness(
 
     Raises:
         Infeasible: no plan within max_impacts.
-        SolverFailed: out of time.
+        SolverFailed: out of time, or no number with a plan and some undecided.
     """
     ceiling = compute_geometric_bound(task.scenario, task.demands, task.solver)
     problem = f"plan of {task.scenario.name}"
     if ceiling < options.least:
         status = f"fixed starts, goals and areas allow a robustness of {ceiling * task.frame.length:.3g} m at most"
         raise Infeasible(problem, status, "move them, or relax the formula")
-    if min(options.pieces) > MANY:
+    if min(options.pieces) > MANY and options.pauses is None:
         found = _attain_bound(task, order_sizes(options, fewest, max_impacts), ceiling, budget, options)
         if found is not None:
             return found
     best: RobustnessOptimum | None = None
+    complete = True
     progress, length = budget.progress, task.frame.length
     progress.bound = ceiling * length
     for size in order_sizes(options, fewest, max_impacts):
@@ -84,7 +88,9 @@ def maximise_robustness(
         progress.impacts, progress.pieces = impacts, pieces
         if best is not None and pieces > best.size.pieces and impacts > best.size.impacts:
             continue
-        if best is not None and not options.thorough and impacts > best.size.impacts + 1:
+        hasty = not options.thorough or options.pauses is not None
+        if best is not None and hasty and impacts > best.size.impacts + 1:
+            complete = False
             break
         # Once there is a plan, the search for a more robust one with more impacts must leave time to finish it.
         share = 0.5
@@ -92,6 +98,7 @@ def maximise_robustness(
         if limit <= 0.0:
             if best is None:
                 raise SolverFailed(problem, "time limit reached", "raise the time limit")
+            complete = False
             break
         least = options.least if best is None else best.rho
         try:
@@ -99,19 +106,27 @@ def maximise_robustness(
         except Infeasible:
             continue
         except SolverFailed:
+            complete = False
+            if options.pauses is not None:
+                continue
             if best is None:
                 raise
             break
+        complete = complete and found.complete
         if best is None or found.rho > best.rho + TOLERANCE:
             fewer = () if best is None else (best, *best.fewer)
             best = replace(found, rho=ceiling if ceiling - found.rho <= TOLERANCE else found.rho, fewer=fewer)
             progress.robustness = best.rho * length
         if best.rho >= options.enough * ceiling:
+            complete = True
             break
+    if best is None and not complete:
+        status = f"some numbers of impacts are undecided after {options.pauses} pauses of the solver"
+        raise SolverFailed(problem, status, "raise the time limit")
     if best is None:
         status = f"proven infeasible with up to {max_impacts} impacts and the planner's reserves"
         raise Infeasible(problem, status, "allow more impacts or time, move the areas, or relax the formula")
-    return best
+    return replace(best, complete=complete)
 
 
 def order_sizes(options: PlanOptions, fewest: int, most: int) -> list[GridSize]:
@@ -145,11 +160,11 @@ def _solve_size(
     """Return the greatest robustness, between two numbers, of plans of one size."""
     if options.thorough and (size.impacts >= options.many_impacts or size.pieces > MANY):
         exclude_size(task, size, rho, time_limit)
-    found = solve_word_grid(task, size, rho, time_limit, options.robustness_gap)
+    found = solve_word_grid(task, size, rho, time_limit, options.robustness_gap, pauses=options.pauses)
     best, events = found.rho, None
     if len(task.scenario.objects) == 1:
         # Where legs have many pieces, the search for the least path cost may take longer than there is time.
         cheap = size.pieces > MANY
         with suppress(SolverFailed):
             events = found.reduce_cost(best) if cheap else found.read()
-    return RobustnessOptimum(size, best, rho[1], events=events)
+    return RobustnessOptimum(size, best, rho[1], events=events, complete=found.proven)

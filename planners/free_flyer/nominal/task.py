@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
@@ -12,6 +12,7 @@ from planners.free_flyer.nominal.event_grid import EventGrid, build_event_grid
 from planners.free_flyer.nominal.event_sequence import Word
 from planners.free_flyer.nominal.leg_times import Correction
 from planners.free_flyer.reserves import Reserves
+from planners.free_flyer.specification.direction import DIRECTIONS
 from planners.free_flyer.specification.formula_rows import add_demands
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import Demands
@@ -32,6 +33,8 @@ class NominalTask:
         frame: whose units the scenario is in.
         corrections: least times between events, and room for impacts, beyond those of the reserves.
         sharp: whether speeds of several objects are capped by what a word says of their first and last impacts.
+        slanted: whether bodies may pass each other at a slant, too, and pieces of a leg on which the only object rests
+            differ in length; both let robots be quicker, and take more binaries.
         easy_nodes: of branch and bound, in proofs that leave out what is in the way.
         proof_nodes: of branch and bound, in proofs for the least of all reserves.
     """
@@ -44,6 +47,7 @@ class NominalTask:
     frame: Frame = field(default_factory=Frame)
     corrections: tuple[Correction, ...] = ()
     sharp: bool = False
+    slanted: bool = False
     easy_nodes: int = 200
     proof_nodes: int = 5000
 
@@ -72,8 +76,10 @@ class NominalTask:
         Raises:
             Infeasible: the variable bounds alone exclude every plan.
         """
-        shape = size.impacts, rho, self.reserves, size.pieces, word, elastic, self.sharp, loose_speeds
+        shape = size.impacts, rho, self.reserves, size.pieces, word, elastic, self.sharp, loose_speeds, self.slanted
         grid = build_event_grid(self.scenario, *shape)
+        if self.slanted:
+            grid = replace(grid, axes=DIRECTIONS)
         for correction in self.corrections:
             correction.add_to(grid)
         return grid, add_demands(grid, self.demands, self.scenario.control_period, size.passing, avoid)
@@ -232,6 +238,15 @@ class PlanOptions:
         few: impacts of every one of several objects that are tried first, with each of the reserves; None: all are.
         simple: whether several objects are only moved as each would be alone, or one after another; None: that and
             all that takes longer; False: what takes longer alone.
+        pauses: of the solver in each solution for one number of impacts and pieces, above which the number is passed
+            over, or its best point is taken; None: any number. It is the limit of the attempt that is made.
+        brief_pauses: this limit in brief attempts, which are made with all, half and a quarter of the reserves before
+            longer ones; the shipped scenarios need fewer, and so many take some seconds.
+        brief_patience: factors as `patience`, in brief attempts.
+        brief_less: shares as `less`, in brief attempts.
+        improve_share: share of all time for more robust impacts, once a brief attempt has a plan.
+        slanted_pieces: numbers of pieces per leg of the last brief attempts, in which bodies may pass each other at a
+            slant: a robot that overtakes what it has just hit then goes a third as far round it.
         expected: number of impacts to try first, then one more, then fewer, and none with more; None: count up from the
             fewest.
         screen: whether it is told first, with each of the reserves, where there is no plan, see `screen_task`.
@@ -246,6 +261,7 @@ class PlanOptions:
         turns: factors of the time for starting and stopping, tried when motions prove too quick to be smoothed.
         words: number of sequences of impacts tried at each of these.
         haste: time for a plan with the impacts found so far, once planning is interrupted [s].
+        hasty: number of the last attempts whose impacts are tried then.
         diagnosis: greatest time for finding what to loosen where there is no plan; 0: it is not said [s].
         remedy_room: by which a conjunct that is to be loosened is loosened more when that is tried [m].
         thorough: whether what to loosen is said, and robustness is improved for longer than there is a plan.
@@ -277,6 +293,12 @@ class PlanOptions:
     thrust: float | None = None
     few: int | None = 3
     simple: bool | None = None
+    pauses: int | None = None
+    brief_pauses: int = 4000
+    brief_patience: tuple[float, ...] = (1.05, 1.5)
+    brief_less: tuple[float, ...] = (1.0, 0.5)
+    improve_share: float = 0.15
+    slanted_pieces: tuple[int, ...] = (2, 3)
     expected: int | None = None
     screen: bool = False
     many_impacts: int = 3
@@ -287,6 +309,7 @@ class PlanOptions:
     turns: tuple[float, ...] = (1.0, 1.5)
     words: int = 3
     haste: float = 5.0
+    hasty: int = 3
     diagnosis: float = 20.0
     remedy_room: float = 0.02
     thorough: bool = True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from planners.free_flyer.nominal.least_cost import CostOptimum, read_events
 from planners.free_flyer.nominal.task import NominalTask
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.selection import Choices
-from planners.mixed_integer import Model
+from planners.mixed_integer import Solution
 from planners.path_cost import PieceCost, add_path_cost
 from planners.solvers import solve
 
@@ -31,12 +31,14 @@ class WordGrid:
         grid: the grid.
         choices: alternatives of the formula.
         x: the point, shape (n,).
+        proven: whether no point is more robust.
     """
 
     task: NominalTask
     grid: EventGrid
     choices: Choices
     x: np.ndarray
+    proven: bool = True
 
     @property
     def rho(self) -> float:
@@ -75,6 +77,7 @@ def solve_word_grid(
     time_limit: float,
     gap: float,
     word: Word | None = None,
+    pauses: int | None = None,
 ) -> WordGrid:
     """Return the grid of a size and its point of greatest robustness.
 
@@ -85,16 +88,20 @@ def solve_word_grid(
         time_limit: wall time of each mixed-integer solution [s].
         gap: to which the greatest robustness is proven, relative.
         word: who hits what; None: anybody anything.
+        pauses: of the solver in each solution, see `planners.solvers.Limits`; None: any number.
 
     Raises:
         Infeasible: no plan of this size.
-        SolverFailed: out of time.
+        SolverFailed: out of time, or of pauses.
     """
     grid, choices = task.build(size, rho, word)
     grid.model.objective = -grid.rho
-    point = partial(_solve_point, task, grid.model, time_limit, gap)
-    return WordGrid(task, grid, choices, solve_apart(grid, task.scenario, task.reserves, point))
+    found: list[Solution] = []
 
+    def solve_point() -> np.ndarray:
+        found.append(solve(grid.model, time_limit, gap, task.solver, work=task.work, pauses=pauses))
+        return found[-1].x
 
-def _solve_point(task: NominalTask, model: Model, time_limit: float, gap: float) -> np.ndarray:
-    return solve(model, time_limit, gap, task.solver, work=task.work).x
+    x = solve_apart(grid, task.scenario, task.reserves, solve_point)
+    last = found[-1]
+    return WordGrid(task, grid, choices, x, last.objective - last.bound <= gap * abs(last.objective) + SLACK)
