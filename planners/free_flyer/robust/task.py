@@ -30,7 +30,6 @@ class DeviationOptions:
         families: pieces per leg, and whether areas may be reached between impacts; in the order in which they are
             tried.
         refutation: how far a deviation that is not expected to be borne is refuted before the solver's turn.
-        take_found: take what a refutation finds instead, in place of the solver's solutions: quicker, other plans.
     """
 
     gap: float = 1e-2
@@ -39,7 +38,6 @@ class DeviationOptions:
     smallest: float = 1e-4
     families: tuple[tuple[int, bool], ...] = ((1, False), (2, True))
     refutation: RefutationOptions = field(default_factory=RefutationOptions)
-    take_found: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,3 @@
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,7 +12,7 @@ from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.robust.conditions import Conditions
 from planners.free_flyer.robust.deviation_search import compute_ceiling, maximise_deviation, rank_alternatives
-from planners.free_flyer.robust.task import DeviationOptions, RobustOptions, RobustTask
+from planners.free_flyer.robust.task import RobustOptions, RobustTask
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import read_demands
 from planners.plan import Plan
@@ -187,17 +186,3 @@ def test_a_refuted_deviation_is_infeasible_and_one_that_is_borne_is_found() -> N
             for i in np.flatnonzero(grid.model.integer):
                 grid.model.lower[i] = grid.model.upper[i] = x[i]
             solve(grid.model, 60.0)
-
-
-def test_what_a_refutation_finds_can_be_taken() -> None:
-    task = _task("throw_and_catch", 5.0, points=False)
-    taking = DeviationOptions(take_found=True)
-    first, second = (maximise_deviation(one, 3, 60.0) for one in (task, _with(task, taking)))
-    gap = 1.0 + taking.gap
-    assert first.bound >= second.delta / gap
-    assert second.bound >= first.delta / gap
-    assert second.delta == pytest.approx(first.delta, rel=2.0 * taking.gap)
-
-
-def _with(task: RobustTask, deviation: DeviationOptions) -> RobustTask:
-    return replace(task, options=replace(task.options, deviation=deviation))
