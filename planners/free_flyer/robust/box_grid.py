@@ -87,7 +87,6 @@ class BoxGrid:
         turns: time every robot loses by starting and stopping, per piece [s].
         delta: permissible deviation [m/s].
         velocities: boxes of the object's velocity on every leg, where the grid has them.
-        levels: binaries of the velocities that lie between those before and after an impact, one after another.
     """
 
     model: Model
@@ -106,7 +105,6 @@ class BoxGrid:
     delta: Affine | float
     sides: dict[str, list[Affine]] = field(default_factory=dict)
     velocities: list[PositionBox] = field(default_factory=list)
-    levels: list[Affine] = field(default_factory=list)
 
     @property
     def count(self) -> int:

@@ -11,15 +11,11 @@ import numpy as np
 from impact_envs.stl import Always, And, Predicate
 from planners.budget import read_clock
 from planners.errors import Infeasible, SolverFailed
-from planners.free_flyer.robust.box_grid import BoxGrid
 from planners.free_flyer.robust.task import RobustTask
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import Demands, Requirement
 from planners.mixed_integer import Model, evaluate
-from planners.refutation import FIRST, RANK, choose_alternatives
 from planners.solvers import solve
-
-HITTERS, LEVELS = RANK + 1, RANK - 1  # ranks of who hits, and of velocities between those before and after an impact
 
 
 @dataclass(frozen=True)
@@ -99,7 +95,7 @@ def search_deviation(
 
     If a deviation is feasible, its integers are fixed and the best deviation for them is bisected in linear problems.
     The next one tried is by the gap above that: the search ends when it is infeasible. Proofs are what takes time, so
-    none is made of a deviation that the last one will cover, and where one is likely it is tried without big M first.
+    none is made of a deviation that the last one will cover.
 
     Args:
         task: what is asked.
@@ -119,11 +115,9 @@ def search_deviation(
     low, options = known, task.options.deviation
     target = min(known * (1.0 + options.gap) or options.smallest, high)
     while True:
-        # More impacts seldom bear a fifth more, and next to nothing is left above a deviation searched closely.
-        unlikely = low == known > 0.0 or gap <= options.gap
         try:
             grid, _ = task.build(size, target)
-            x = _find_plan(task, grid, unlikely, time_limit - (read_clock() - start))
+            x = solve(grid.model, time_limit - (read_clock() - start), solver=task.solver).x
         except Infeasible:
             high = target
         except SolverFailed:
@@ -135,43 +129,6 @@ def search_deviation(
         if low == 0.0 or high <= low * (1.0 + gap) + 1e-12:
             return low, high
         target = min(low * (1.0 + gap), high)
-
-
-def _find_plan(task: RobustTask, grid: BoxGrid, unlikely: bool, time_limit: float) -> np.ndarray:
-    """Return a solution of a grid, of which binaries alone count.
-
-    Where there is one it is the solver's, for robots have more room in its solutions than in those that a refutation
-    ends with: of six tasks, the plan for one could then be smoothed for three quarters of the deviation only.
-
-    Args:
-        task: what is asked.
-        grid: for one deviation.
-        unlikely: whether a proof that there is none is more likely.
-        time_limit: wall time [s].
-
-    Raises:
-        Infeasible: proven to have none.
-        SolverFailed: out of time.
-    """
-    start = read_clock()
-    if unlikely and task.solver == "highs":
-        choose_alternatives(grid.model, rank_alternatives(grid), task.options.deviation.refutation, time_limit)
-    return solve(grid.model, time_limit - (read_clock() - start), solver=task.solver).x
-
-
-def rank_alternatives(grid: BoxGrid) -> dict[int, int]:
-    """Rank sides of robots first, for starts and goals exclude most; then who hits, and levels of velocity last.
-
-    Args:
-        grid: for one deviation.
-
-    Returns:
-        Columns of binaries to their ranks.
-    """
-    sides = [side for choices in grid.sides.values() for side in choices]
-    hitters = [hit for hits in grid.hits for hit in hits.values()]
-    ranked = ((sides, FIRST), (hitters, HITTERS), (grid.levels, LEVELS))
-    return {column: rank for choices, rank in ranked for choice in choices for column in choice.coefficients}
 
 
 def _improve(task: RobustTask, size: GridSize, x: np.ndarray, low: float, high: float) -> float:

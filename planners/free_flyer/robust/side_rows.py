@@ -98,7 +98,6 @@ def _add_shifts(grid: BoxGrid, event: int) -> tuple[Affine, Affine]:
     """
     model, fastest = grid.model, max(grid.caps)
     chosen = [model.binary() for _ in LEVELS]
-    grid.levels.extend(chosen)
     model.require_equal(sum(chosen, Affine({})) - 1.0)
     shifts = []
     for duration in grid.legs[event : event + 2]:

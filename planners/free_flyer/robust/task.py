@@ -14,7 +14,6 @@ from planners.free_flyer.specification.formula_rows import add_demands
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import Demands
 from planners.free_flyer.specification.selection import Choices
-from planners.refutation import RefutationOptions
 from planners.spline_rows import SmoothingOptions
 
 
@@ -29,7 +28,6 @@ class DeviationOptions:
         smallest: deviation below which a task counts as bearing none [m/s].
         families: pieces per leg, and whether areas may be reached between impacts; in the order in which they are
             tried.
-        refutation: how far a deviation that is not expected to be borne is refuted before the solver's turn.
     """
 
     gap: float = 1e-2
@@ -37,7 +35,6 @@ class DeviationOptions:
     worth: float = 0.2
     smallest: float = 1e-4
     families: tuple[tuple[int, bool], ...] = ((1, False), (2, True))
-    refutation: RefutationOptions = field(default_factory=RefutationOptions)
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,11 @@ from planners import make_plan
 from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.robust.conditions import Conditions
-from planners.free_flyer.robust.deviation_search import compute_ceiling, maximise_deviation, rank_alternatives
+from planners.free_flyer.robust.deviation_search import compute_ceiling, maximise_deviation
 from planners.free_flyer.robust.task import RobustOptions, RobustTask
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import read_demands
 from planners.plan import Plan
-from planners.refutation import choose_alternatives
 from planners.solvers import solve
 
 
@@ -165,24 +164,3 @@ def test_a_search_cut_by_time_claims_no_bound_below_what_the_last_leg_allows(mon
     optimum = maximise_deviation(task, 6, 60.0)
     assert optimum.delta == found[0]
     assert optimum.bound == compute_ceiling(task) > found[1]
-
-
-def test_a_refuted_deviation_is_infeasible_and_one_that_is_borne_is_found() -> None:
-    """Sides, hitters and levels come first and last; whatever the order, it agrees with branch and bound."""
-    task = _task("throw_and_catch", 5.0, points=False)
-    optimum = maximise_deviation(task, 2, 60.0)
-    options = task.options.deviation
-    for delta, borne in ((0.99 * optimum.delta, True), (1.01 * optimum.bound, False)):
-        grid, _ = task.build(optimum.size, delta)
-        try:
-            x = choose_alternatives(grid.model, rank_alternatives(grid), options.refutation, 60.0)
-        except Infeasible:
-            x = None
-        assert (x is not None) == borne
-        if x is None:
-            with pytest.raises(Infeasible):
-                solve(grid.model, 60.0)
-        else:
-            for i in np.flatnonzero(grid.model.integer):
-                grid.model.lower[i] = grid.model.upper[i] = x[i]
-            solve(grid.model, 60.0)
