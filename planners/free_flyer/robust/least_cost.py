@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planners.cones import solve_cones
-from planners.errors import Infeasible
+from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.robust.box_grid import BoxGrid
 from planners.free_flyer.robust.box_sequence import BoxSequence, make_tube, tighten
 from planners.free_flyer.robust.task import RobustTask
@@ -59,7 +59,7 @@ def minimise_robust_cost(
         time_limit: of the mixed-integer solution [s].
 
     Returns:
-        The impacts, their cost and its bound.
+        The impacts, their cost and its bound; any impacts, if the time is too short for cheap ones.
 
     Raises:
         Infeasible: no such impacts.
@@ -75,9 +75,25 @@ def minimise_robust_cost(
         x = np.concatenate([fewest, np.zeros(len(grid.model.lower) - len(fewest))])
         return _read_events(task, grid, choices, solve_cones(grid.model, x, costs), None)
     costs = add_path_cost(grid.model, grid.displacements(), task.options.tangents)
-    relaxed = solve(grid.model, time_limit, task.options.cost_gap, task.solver)
-    x = _solve_on_steps(task, size, delta, grid, relaxed.x, costs)
-    return _read_events(task, grid, choices, x, max(0.0, relaxed.bound))
+    try:
+        relaxed = solve(grid.model, time_limit, task.options.cost_gap, task.solver)
+        found, bound = relaxed.x, max(0.0, relaxed.bound)
+    except SolverFailed:
+        # Out of time, any impacts that bear the deviation are better than none; no path costs less than nothing.
+        found, bound = _find_impacts(task, size, delta, forbidden, time_limit), 0.0
+        found = np.concatenate([found, np.zeros(len(grid.model.lower) - len(found))])
+    x = _solve_on_steps(task, size, delta, grid, found, costs)
+    return _read_events(task, grid, choices, x, bound)
+
+
+def _find_impacts(
+    task: RobustTask, size: GridSize, delta: float, forbidden: Sequence[tuple[str, ...]], time_limit: float
+) -> np.ndarray:
+    """Return a solution of the grid at any path cost."""
+    grid, _ = task.build(size, delta)
+    for word in forbidden:
+        _forbid(grid, word)
+    return solve(grid.model, time_limit, solver=task.solver).x
 
 
 def _forbid(grid: BoxGrid, word: tuple[str, ...]) -> None:

@@ -1,4 +1,5 @@
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +13,11 @@ from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.robust.conditions import Conditions
 from planners.free_flyer.robust.deviation_search import compute_ceiling, maximise_deviation
+from planners.free_flyer.robust.least_cost import minimise_robust_cost
 from planners.free_flyer.robust.task import RobustOptions, RobustTask
 from planners.free_flyer.specification.grid import GridSize
 from planners.free_flyer.specification.requirement import read_demands
+from planners.mixed_integer import Model, Solution
 from planners.plan import Plan
 from planners.solvers import solve
 
@@ -164,3 +167,22 @@ def test_a_search_cut_by_time_claims_no_bound_below_what_the_last_leg_allows(mon
     optimum = maximise_deviation(task, 6, 60.0)
     assert optimum.delta == found[0]
     assert optimum.bound == compute_ceiling(task) > found[1]
+
+
+def test_where_time_is_too_short_for_cheap_impacts_any_that_bear_the_deviation_are_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    task, size, delta = _task("throw_and_catch", 5.0, points=False), GridSize(2), 0.02
+
+    def stop(model: Model, time_limit: float, *args: Any, **options: Any) -> Solution:
+        if model.objective.coefficients and np.isfinite(time_limit):
+            raise SolverFailed(model.name, "time limit reached", "raise the time limit")
+        return solve(model, time_limit, *args, **options)
+
+    cheap = minimise_robust_cost(task, size, delta, (), 60.0)
+    monkeypatch.setattr("planners.free_flyer.robust.least_cost.solve", stop)
+    events = minimise_robust_cost(task, size, delta, (), 60.0)
+    assert events.bound == 0.0
+    assert events.sequence.delta == delta
+    assert cheap.bound is not None
+    assert events.cost > cheap.bound > 0.0
