@@ -89,13 +89,16 @@ class Finer:
 
     Args:
         more_impacts: than the planner tries by itself.
-        options: four pieces a leg hold all that one and two do; every model is solved, none is screened.
+        options: four pieces a leg hold all that one and two do; every model is solved, none is screened, and no reason
+            is looked for outside of models.
         reserves: at first; they are halved once more: an eighth where the planner itself goes down to a quarter.
     """
 
     more_impacts: int = 2
     options: PlanOptions = field(
-        default_factory=lambda: PlanOptions(pieces=(4,), most_pieces=4, halvings=1, proof_share=0.0, diagnosis=0.0)
+        default_factory=lambda: PlanOptions(
+            pieces=(4,), most_pieces=4, halvings=1, proof_share=0.0, diagnosis=0.0, reasons=False
+        )
     )
     reserves: Reserves = field(default_factory=lambda: Reserves().halved().halved())
 

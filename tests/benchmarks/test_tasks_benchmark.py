@@ -82,9 +82,9 @@ def test_the_first_thing_amiss_is_the_cause(flights, impacts, unplanned, cause):
 
 def test_a_goal_within_an_obstacle_is_proven_without_a_search(tasks):
     scenario, work = build_scenario(tasks.draw_task(BLOCKED)[1], source="test"), Work()
-    with pytest.raises(Infeasible, match="proven infeasible with up to 6 impacts, 6 straight pieces"):
+    with pytest.raises(Infeasible, match=r"proven infeasible: r3 has to be in zone by 150 s, .* solid obstacle wall2"):
         make_free_flyer_plan(scenario, options=PlanOptions(diagnosis=0.0), work=work)
-    assert work.done < 1000.0
+    assert work.done == 0.0
 
 
 @pytest.mark.slow

@@ -67,7 +67,7 @@ def make_free_flyer_plan(
     demands = read_demands(scenario, reserves.wall)  # formulas are refused in the user's words
     scenario = scenario.model_copy(update={"weights": ()})  # nothing is given up, and sub-tasks have other conjuncts
     frame = find_frame(scenario)
-    if options.thorough:
+    if options.thorough and options.reasons:
         refuse_impossible(NominalTask(scenario, demands, reserves, solver), max_impacts, options)
         inside = frame.enter(scenario)
         refuse_low_bound(

@@ -59,7 +59,7 @@ def refuse_low_bound(task: NominalTask, options: PlanOptions) -> None:
     """
     for text, bound in compute_bounds(task.scenario, task.demands, task.solver).items():
         if bound < options.least:
-            said, most = task.frame.leave_formula(text), bound * task.frame.length
+            said, most = task.frame.leave_formula(text), bound * task.frame.length + 0.0
             status = (
                 f"proven infeasible: fixed starts, goals and areas allow '{said}' a robustness of {most:.3g} m at most"
             )

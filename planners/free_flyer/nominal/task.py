@@ -265,6 +265,7 @@ class PlanOptions:
         diagnosis: greatest time for finding what to loosen where there is no plan; 0: it is not said [s].
         remedy_room: by which a conjunct that is to be loosened is loosened more when that is tried [m].
         thorough: whether what to loosen is said, and robustness is improved for longer than there is a plan.
+        reasons: whether a task is refused where places, times and speeds alone tell that it has no plan.
         central: least robustness of a plan that hits polygons through their centres, else they are planned as discs;
             the expert hits once more where less is left. None: always as discs [m].
         cost: of the stage of least path cost.
@@ -313,6 +314,7 @@ class PlanOptions:
     diagnosis: float = 20.0
     remedy_room: float = 0.02
     thorough: bool = True
+    reasons: bool = True
     central: float | None = 0.02
     cost: CostOptions = field(default_factory=CostOptions)
     search: WordSearchOptions = field(default_factory=WordSearchOptions)

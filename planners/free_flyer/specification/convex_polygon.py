@@ -43,7 +43,9 @@ def clip(polygon: np.ndarray, faces: np.ndarray, bounds: np.ndarray) -> np.ndarr
 
 
 def list_faces(polygon: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a polygon of at least three corners as H p <= b with rows of unit length."""
+    """Return a polygon of at least three corners as H p <= b with rows of unit length; of none nothing holds."""
+    if not len(polygon):
+        return np.zeros((1, 2)), np.full(1, -1.0)
     edges = np.roll(polygon, -1, axis=0) - polygon
     lengths = np.linalg.norm(edges, axis=1)
     some = lengths > SAME * max(1.0, float(np.abs(polygon).max()))
