@@ -16,14 +16,14 @@ from planners.budget import Budget, Work
 from planners.errors import PlanningError
 from planners.free_flyer.frame import find_frame
 from planners.free_flyer.given_up import GivenUp, list_given_up, measure, measure_missed
+from planners.free_flyer.impossibility.reach import Kept
+from planners.free_flyer.impossibility.reason import find_impossibility
 from planners.free_flyer.nominal.diagnosis import find_relaxation, list_amounts
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions, find_most_impacts
 from planners.free_flyer.nominal.ways import count_pieces
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.specification.impossibility import find_impossibility
 from planners.free_flyer.specification.loosening import list_conjuncts, loosen
-from planners.free_flyer.specification.reach import Kept
 from planners.free_flyer.specification.requirement import read_demands
 from planners.plan import Plan
 

@@ -12,13 +12,13 @@ from impact_envs.stl import Predicate
 from planners.budget import count_things, read_clock
 from planners.errors import Infeasible, SolverFailed
 from planners.free_flyer.frame import find_frame
+from planners.free_flyer.impossibility.reach import Kept
+from planners.free_flyer.impossibility.reason import find_impossibility
 from planners.free_flyer.nominal.attempt import Attempt
 from planners.free_flyer.nominal.several_objects.sequence_search import restrict_to_object
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.verdict import describe_share
 from planners.free_flyer.specification.grid import GridSize
-from planners.free_flyer.specification.impossibility import find_impossibility
-from planners.free_flyer.specification.reach import Kept
 from planners.free_flyer.specification.requirement import Demands, read_demands
 from planners.free_flyer.specification.robustness_bound import compute_bounds, compute_geometric_bound
 from planners.solvers import solve

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_envs.stl import In, Predicate
-from planners.free_flyer.specification.convex_polygon import measure_distance
-from planners.free_flyer.specification.necessary_visits import Moment, Recurrence, Stay
+from planners.free_flyer.impossibility.convex_polygon import measure_distance
+from planners.free_flyer.impossibility.necessary_visits import Moment, Recurrence, Stay
 
 MOST_CALLS = 8  # places of one body whose orders are compared; with more, the first ones
 ROUND_OFF = 1e-9  # of times [s], and relative

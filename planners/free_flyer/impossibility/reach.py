@@ -16,8 +16,8 @@ import numpy as np
 from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
 from impact_envs.physics.impact import compute_mass_fractions
 from impact_envs.stl import In, Predicate
-from planners.free_flyer.specification.convex_polygon import clip, list_faces, make_box
-from planners.free_flyer.specification.least_way import ROUNDED, FreeSpace, grow
+from planners.free_flyer.impossibility.convex_polygon import clip, list_faces, make_box
+from planners.free_flyer.impossibility.least_way import ROUNDED, FreeSpace, grow
 from planners.free_flyer.specification.requirement import Demands
 
 # By which ways may be longer than what is told, of the world's largest side; less than the robustness that plans have.

@@ -14,15 +14,15 @@ import numpy as np
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import In, Predicate
 from planners.budget import count_things
-from planners.free_flyer.specification.coexistence import check_together
-from planners.free_flyer.specification.convex_polygon import (
+from planners.free_flyer.impossibility.coexistence import check_together
+from planners.free_flyer.impossibility.convex_polygon import (
     clip,
     find_nearest,
     list_faces,
     make_box,
 )
-from planners.free_flyer.specification.least_way import FreeSpace, grow
-from planners.free_flyer.specification.necessary_visits import (
+from planners.free_flyer.impossibility.least_way import FreeSpace, grow
+from planners.free_flyer.impossibility.necessary_visits import (
     Alternative,
     Moment,
     Recurrence,
@@ -30,15 +30,15 @@ from planners.free_flyer.specification.necessary_visits import (
     Visit,
     list_alternatives,
 )
-from planners.free_flyer.specification.reach import Kept, Reach, list_held
-from planners.free_flyer.specification.requirement import Demands
-from planners.free_flyer.specification.visiting_order import (
+from planners.free_flyer.impossibility.reach import Kept, Reach, list_held
+from planners.free_flyer.impossibility.visiting_order import (
     Call,
     Impossibility,
     check_orders,
     check_recurrences,
     say_place,
 )
+from planners.free_flyer.specification.requirement import Demands
 
 MOST_REASONS = 3  # that are told where each alternative of a formula has its own
 MOVE = "move the place or the body, or relax the formula"

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import Distance
-from planners.free_flyer.specification.convex_polygon import measure_distance, measure_span
-from planners.free_flyer.specification.necessary_visits import Stay, Visit
-from planners.free_flyer.specification.visiting_order import Call, Impossibility
+from planners.free_flyer.impossibility.convex_polygon import measure_distance, measure_span
+from planners.free_flyer.impossibility.necessary_visits import Stay, Visit
+from planners.free_flyer.impossibility.visiting_order import Call, Impossibility
 
 
 def check_together(

@@ -12,9 +12,9 @@ from benchmarks.tasks import draw_tasks
 from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.scenario import build_scenario, list_scenarios, load_scenario
 from planners.free_flyer.frame import find_frame
+from planners.free_flyer.impossibility.reach import Kept
+from planners.free_flyer.impossibility.reason import find_impossibility
 from planners.free_flyer.reserves import Reserves
-from planners.free_flyer.specification.impossibility import find_impossibility
-from planners.free_flyer.specification.reach import Kept
 from planners.free_flyer.specification.requirement import read_demands
 from planners.free_flyer.validation import compute_robustness
 from planners.plan import Plan

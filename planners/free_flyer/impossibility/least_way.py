@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from planners.free_flyer.specification.convex_polygon import clip, find_nearest, list_faces, measure_distance
+from planners.free_flyer.impossibility.convex_polygon import clip, find_nearest, list_faces, measure_distance
 
 ROUNDED = 1e-7  # by which obstacles count smaller, of the largest side of the world
 MOST_OBSTACLES = 30  # that count: visibility is a matter of seconds for more
