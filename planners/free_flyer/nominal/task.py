@@ -297,7 +297,7 @@ class PlanOptions:
     pauses: int | None = None
     brief_pauses: int = 4000
     brief_patience: tuple[float, ...] = (1.05, 1.5)
-    brief_less: tuple[float, ...] = (1.0, 0.5)
+    brief_less: tuple[float, ...] = (1.0, 0.92, 0.5)
     improve_share: float = 0.15
     slanted_pieces: tuple[int, ...] = (2, 3)
     expected: int | None = None

