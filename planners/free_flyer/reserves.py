@@ -72,6 +72,7 @@ class Reserves:
             gap=0.5 * self.gap,
             last=0.5 * self.last,
             clearance=0.5 * self.clearance,
+            push=0.5 * self.push,
             avoid=0.5 * self.avoid,
         )
 

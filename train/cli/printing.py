@@ -32,7 +32,7 @@ NAMES: dict[str, tuple[str, str]] = {
     "given_up_bound": ("no plan misses it by less than", "m"),
     "given_up_tried": ("not found: plans that give up less than", "m"),
     "path_cost": ("path cost, sum of displacement² / duration", "m²/s"),
-    "path_cost_bound": ("no plan as robust costs less than", "m²/s"),
+    "path_cost_bound": ("no plan as robust with these reserves costs less than", "m²/s"),
     "effort": ("effort, sum of |force| dt", "N s"),
     "solve_seconds": ("time to plan", "s"),
     "stage_seconds": ("of it", "s"),

@@ -9,6 +9,7 @@ from impact_envs.free_flyer.schema import FreeFlyerScenario
 from impact_envs.stl import Distance
 from planners.free_flyer.impossibility.convex_polygon import measure_distance, measure_span
 from planners.free_flyer.impossibility.necessary_visits import Stay, Visit
+from planners.free_flyer.impossibility.reach import find_inner_radius
 from planners.free_flyer.impossibility.visiting_order import Call, Impossibility
 
 
@@ -47,7 +48,7 @@ def check_together(
 
 
 def _find_least_distance(scenario: FreeFlyerScenario, one: str, other: str) -> float:
-    return scenario.body(one).radius + scenario.body(other).radius
+    return find_inner_radius(scenario.body(one)) + find_inner_radius(scenario.body(other))
 
 
 def _list_distances(visits: Sequence[Visit], one: Call, other: Call) -> Iterator[Distance]:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from impact_envs.stl import Always, And, Eventually, Formula, Or, Predicate, Until
+from impact_envs.stl.formula import Interval, find_window
 from planners.free_flyer.specification.negation_normal_form import Release
 
 MOST_ALTERNATIVES = 64  # of a formula; with more, the disjunctions that have most of them are left out
@@ -94,6 +95,21 @@ class Recurrence:
 
 Consequence = Visit | Stay | Recurrence
 Alternative = tuple[Consequence, ...]
+
+
+def move_to_samples(formula: Formula, period: float) -> Formula:
+    """Return a formula with intervals from their first sample to their last one: it asks nothing of what is between.
+
+    Args:
+        formula: in normal form.
+        period: between samples [s].
+    """
+
+    def shrink(interval: Interval) -> Interval:
+        first, last = find_window(interval, period)
+        return first * period, last * period
+
+    return formula.map_intervals(shrink)
 
 
 def list_alternatives(formulas: Iterable[Formula]) -> list[Alternative]:

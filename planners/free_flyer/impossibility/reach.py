@@ -1,7 +1,8 @@
 """How soon bodies can be where: speeds, ways and waits that no plan can do better than.
 
-Nothing but what every plan keeps counts: speed limits, the impact law, the world's edge and solid obstacles; robots do
-not turn, hits are where they like, other bodies are in nobody's way.
+Nothing but what every plan keeps counts: speed limits, the impact law, the world's edge and solid obstacles; robots
+turn as they like and push with two axes at once, hits are where they like, other bodies are in nobody's way. A polygon
+takes no more room than the disc inside it, and between samples an area that is to be avoided may be crossed.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from impact_envs.free_flyer.schema import FreeFlyerScenario, Robot
+from impact_envs.free_flyer.schema import Body, FreeFlyerScenario, Object, Robot
 from impact_envs.physics.impact import compute_mass_fractions
 from impact_envs.stl import In, Predicate
 from planners.free_flyer.impossibility.convex_polygon import clip, list_faces, make_box
@@ -24,6 +25,7 @@ from planners.free_flyer.specification.requirement import Demands
 FORGIVEN = 10.0 * ROUNDED
 
 NEARLY = 0.99  # share of its speed limit from which an object counts as being as fast as that
+SLANT = (1.0 + math.sqrt(2.0)) / 2.0  # max (cos + sin) cos: a hit at 22.5 degrees by a robot as fast along both axes
 MOST_CLOSING = 8  # obstacles of which those are named that close a way
 
 
@@ -71,7 +73,7 @@ class Reach:
         """Return where a body's centre may be at any time."""
         key = name, self.held.get(name, ())
         if key not in self.spaces:
-            self.spaces[key] = self.make_space(name, self.scenario.body(name).radius)
+            self.spaces[key] = self.make_space(name, find_inner_radius(self.scenario.body(name)))
         return self.spaces[key]
 
     def make_space(self, name: str, radius: float) -> FreeSpace:
@@ -90,18 +92,25 @@ class Reach:
                 # A body may start nearer than what plans keep.
                 gap = min(float((faces @ place - bounds).max()) for place in fixed)
                 obstacles.append((area, grow(corners, max(0.0, min(inset, gap)))))
+        # Between samples a motion is no farther from one of them than half a step, along each axis.
+        step = 0.5 * self.speed(name) * scenario.control_period
         for predicate in self.held.get(name, ()):
             need = self.demands.predicates[predicate]
             if need.kind == "stay" and not need.others:
-                box = clip(box, need.faces, need.bounds)
+                box = clip(box, need.faces, need.bounds + step * np.abs(need.faces).sum(axis=1))
             elif isinstance(predicate, In) and predicate.negated:
-                obstacles.append((predicate.area, np.array(scenario.areas[predicate.area].corners)))
+                corners = np.array(scenario.areas[predicate.area].corners)
+                faces, bounds = list_faces(corners)
+                inner = clip(corners, faces, bounds - step * np.abs(faces).sum(axis=1))
+                if len(inner) > 2:
+                    obstacles.append((predicate.area, inner))
         return FreeSpace(np.array(body.start), box, obstacles)
 
     def speed(self, name: str) -> float:
         """Return the greatest speed per axis [m/s].
 
-        An object at speed v that is hit by a robot at w leaves at m3 w + (1 - m3) v.
+        An object at speed v that is hit along its motion by a robot at w leaves at m3 w + (1 - m3) v; hit aside, by no
+        more along an axis than 1.21 m3 w + (|1 - m3 / 2| + m3 / sqrt(2)) v, with w and v the greatest along an axis.
         """
         body = self.scenario.body(name)
         if isinstance(body, Robot):
@@ -110,9 +119,9 @@ class Reach:
         for _ in range(max(1, self.max_impacts)):  # that none may is told in other words
             after = given
             for robot in self.scenario.robots.values():
-                _, _, m3, m4 = compute_mass_fractions(robot.mass, body.mass, self.scenario.believed.restitution)
+                _, _, m3, _ = compute_mass_fractions(robot.mass, body.mass, self.scenario.believed.restitution)
                 fastest = max(robot.speed_limit, *map(abs, robot.start_velocity))
-                after = max(after, m3 * fastest + abs(m4) * given)
+                after = max(after, SLANT * m3 * fastest + (abs(1.0 - 0.5 * m3) + m3 / math.sqrt(2.0)) * given)
             if after >= NEARLY * body.speed_limit:
                 return max(body.speed_limit, start)
             given = after
@@ -133,7 +142,7 @@ class Reach:
         way = max(0.0, self.space(name).measure(self.find_touch(name, struck)) - self.forgiven)
         if not math.isfinite(way) or any(robot.start_velocity) or len(self.scenario.objects) > 1:
             return way / fastest  # what it hit before may have made it fast
-        strength = robot.force_limit / robot.mass
+        strength = math.sqrt(2.0) * robot.force_limit / robot.mass  # both axes of a robot that is turned by 45 degrees
         if way < fastest**2 / (2.0 * strength):
             return math.sqrt(2.0 * way / strength)
         return way / fastest + fastest / (2.0 * strength)
@@ -159,7 +168,7 @@ class Reach:
         if len(names) > MOST_CLOSING:
             return [], 0.0
         closing = [area for area in names if math.isfinite(self.space(name).without(area).measure(place))]
-        low, high = 0.0, self.scenario.body(name).radius
+        low, high = 0.0, find_inner_radius(self.scenario.body(name))
         for _ in range(10):
             middle = 0.5 * (low + high)
             if math.isfinite(self.make_space(name, middle).measure(place)):
@@ -167,6 +176,14 @@ class Reach:
             else:
                 high = middle
         return closing, 2.0 * (low + self.kept.wall) if low > 0.0 else 0.0
+
+
+def find_inner_radius(body: Body) -> float:
+    """Return the radius of the greatest disc around a body's centre that lies in it [m]."""
+    if not isinstance(body, Object) or body.vertices is None:
+        return body.radius
+    _, bounds = list_faces(np.array(body.vertices))
+    return float(bounds.min())
 
 
 def list_held(predicates: Iterable[Predicate]) -> dict[str, tuple[Predicate, ...]]:

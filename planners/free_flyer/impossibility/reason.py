@@ -29,8 +29,9 @@ from planners.free_flyer.impossibility.necessary_visits import (
     Stay,
     Visit,
     list_alternatives,
+    move_to_samples,
 )
-from planners.free_flyer.impossibility.reach import Kept, Reach, list_held
+from planners.free_flyer.impossibility.reach import Kept, Reach, find_inner_radius, list_held
 from planners.free_flyer.impossibility.visiting_order import (
     Call,
     Impossibility,
@@ -57,7 +58,8 @@ def find_impossibility(
     """
     found: dict[str, Impossibility] = {}
     spaces: dict[tuple[str, tuple[Predicate, ...]], FreeSpace] = {}
-    for alternative in list_alternatives(demands.conjuncts.values()):
+    sampled = [move_to_samples(formula, scenario.control_period) for formula in demands.conjuncts.values()]
+    for alternative in list_alternatives(sampled):
         brief = len(found) >= MOST_REASONS
         why = _Examiner(scenario, demands, alternative, max_impacts, kept, spaces, brief).examine()
         if why is None:
@@ -175,7 +177,7 @@ class _Examiner:
         """Return why a body cannot be in a place at all, or not at its moment."""
         body = self.scenario.body(call.body)
         own = [one for one, _ in self._list_holding(call) if self.demands.predicates[one].kind == "stay"]
-        inset = body.radius + self.reach.kept.wall
+        inset = find_inner_radius(body) + self.reach.kept.wall
         for predicate in own:
             if not len(self._cut(self.unasked.space(call.body).box, [predicate])):
                 world = make_box(np.array(self.scenario.world.lower), np.array(self.scenario.world.upper))
@@ -251,13 +253,15 @@ class _Examiner:
         if self.brief:
             return ""
         names, gap = self.reach.find_closing(name, place)
-        size = 2.0 * (self.scenario.body(name).radius + self.reach.kept.wall)
+        size = 2.0 * (find_inner_radius(self.scenario.body(name)) + self.reach.kept.wall)
         by = " and ".join(names) if names else "obstacles and areas that it avoids at all times"
         through = f"the widest gap is {gap:.3g} m, it needs {size:.3g} m" if gap else f"it needs {size:.3g} m"
         return f"{by}, {through}"
 
     def _tell_unmoved(self, call: Call) -> Impossibility:
         told = f"{call.body} has to be {call.said} {call.when}, but no robot can reach {call.body} to hit it"
+        if len(self.scenario.objects) > 1:
+            told += " (no other object is thrown at it by a plan)"
         touched = {name: self.reach.find_touch(name, call.body) for name in self.scenario.robots}
         ways = [
             f"the way of {name} is closed by {self._say_closed(name, place)}"

@@ -246,7 +246,8 @@ class CostProblem:
     def _add_tangents(self, x: np.ndarray, relaxed: np.ndarray) -> None:
         """Add the tangent planes at a point and at the relaxed one, and their mirror images."""
         for part in self.costs:
-            speeds = {round(abs(part.move.value(point)) / part.duration.value(point), 6) for point in (x, relaxed)}
+            known = [(abs(part.move.value(point)), part.duration.value(point)) for point in (x, relaxed)]
+            speeds = {round(move / duration, 6) for move, duration in known if duration > 0.0}
             for speed in speeds - {0.0}:
                 part.add_tangents(self.grid.model, speed)
 

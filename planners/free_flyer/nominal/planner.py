@@ -107,9 +107,10 @@ def _plan_in_frame(
     if central is None or central.robustness < (options.central or 0.0):
         try:
             plan = climb_ladder(disc_scenario, max_impacts, Budget(time_limit), solver, reserves, options, work, frame)
-        except PlanningError:
+        except PlanningError as error:
             if central is None:
-                raise
+                status = f"{error.status}; polygons as the discs around them"
+                raise type(error)(error.problem, status, error.remedy) from error
             plan = central  # less robustness before none
     else:
         plan = central

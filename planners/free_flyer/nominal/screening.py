@@ -60,9 +60,9 @@ def refuse_low_bound(task: NominalTask, options: PlanOptions) -> None:
     for text, bound in compute_bounds(task.scenario, task.demands, task.solver).items():
         if bound < options.least:
             said, most = task.frame.leave_formula(text), bound * task.frame.length + 0.0
-            status = (
-                f"proven infeasible: fixed starts, goals and areas allow '{said}' a robustness of {most:.3g} m at most"
-            )
+            disc = " with polygons as the discs around them" if task.scenario.has_polygons else ""
+            told = f"fixed starts, goals and areas{disc} allow '{said}' a robustness of {most:.3g} m at most"
+            status = f"proven infeasible: {told}, and plans have {options.least * task.frame.length:.3g} m or more"
             raise Infeasible(f"plan of {task.scenario.name}", status, "move them, or relax the formula")
 
 

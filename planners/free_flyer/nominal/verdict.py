@@ -83,7 +83,9 @@ def describe_reserves(task: NominalTask, halvings: int) -> str:
     first, gap, last = reserves.times(task.scenario.horizon)
     return (
         f"{describe_share(halvings)} of the planner's reserves: {reserves.clearance * length:.3g} m between bodies, "
-        f"{reserves.wall * length:.3g} m from walls, {first:.3g} s before, {gap:.3g} s between and "
+        f"{reserves.wall * length:.3g} m from walls, {reserves.run_up * length:.3g} m behind a robot that hits, "
+        f"impacts that move an object by {reserves.push * length:.3g} m or more, "
+        f"{first:.3g} s before, {gap:.3g} s between and "
         f"{last:.3g} s after impacts, robots' legs at {100 * reserves.speed:.0f} % of the speed limit, or what they "
         f"reach within {reserves.turn:g} s"
     )
