@@ -208,11 +208,15 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
     several = options.thorough and options.few is not None and len(task.scenario.objects) > 1
     kinds = [Attempt(options.pieces)]
     if several:
-        kinds = [Attempt(options.pieces, few=True, simple=simple) for simple in (True, False)] + kinds
+        # Where an object alone needs more impacts than few, what is simple is tried with any number of them.
+        simple = Attempt(options.pieces, few=True, simple=True)
+        kinds = [simple, replace(simple, few=False), replace(simple, simple=False), *kinds]
     elif options.thorough and len(task.scenario.objects) == 1:
         kinds = [Attempt(options.pieces, brief=True), *kinds]
     for kind, halvings in itertools.product(kinds, range(options.halvings + 1)):
         attempt = replace(kind, halvings=halvings)
+        if kind.simple and not kind.few and not _needs_many(halvings, trials):
+            continue
         yield from _skip_proven(attempt, trials)
         if trials and trials[-1].rho is None:
             if options.thorough and attempt.is_slow(task) and not kind.simple:
@@ -234,6 +238,12 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
         for halvings, pieces in itertools.product(range(options.halvings + 1), rest):
             attempt = Attempt(pieces, halvings)
             yield from (attempt, replace(attempt, brisk=True)) if attempt.is_slow(task) else (attempt,)
+
+
+def _needs_many(halvings: int, trials: Sequence[Trial]) -> bool:
+    """Return whether some object alone has no plan with few impacts and so much of the reserves."""
+    alone = [trial for trial in trials if trial.attempt.few and trial.attempt.simple]
+    return any(one.attempt.halvings == halvings and isinstance(one.error, Infeasible) for one in alone)
 
 
 def _skip_proven(attempt: Attempt, trials: Sequence[Trial]) -> Iterator[Attempt]:

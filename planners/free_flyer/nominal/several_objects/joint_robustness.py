@@ -55,8 +55,9 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
     found = search.find(alone)
     if found is not None:
         return found
-    if options.few is not None:
-        status = f"no sequence found with up to {options.few} impacts of each object"
+    if options.few is not None or options.simple:
+        few = "" if options.few is None else f" with up to {options.few} impacts of each object"
+        status = f"no {'simple ' if options.simple else ''}sequence found{few}"
         raise SolverFailed(f"plan of {task.scenario.name}", status, "allow more impacts")
     fewest = sum(numbers.values())
     fewest = fewest if options.expected is None else min(fewest, options.expected)
