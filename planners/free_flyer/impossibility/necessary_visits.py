@@ -14,6 +14,7 @@ from impact_envs.stl.formula import Interval, find_window
 from planners.free_flyer.specification.negation_normal_form import Release
 
 MOST_ALTERNATIVES = 64  # of a formula; with more, the disjunctions that have most of them are left out
+MOST_NESTED = 5  # operators of time; a formula with more tells nothing: each may double what is read
 MOST_INSTANTS = 6  # of a window at all instants of which something has to come in time
 
 
@@ -118,7 +119,13 @@ def list_alternatives(formulas: Iterable[Formula]) -> list[Alternative]:
     Args:
         formulas: conjuncts in normal form, without ``all``.
     """
-    return _combine([_hold_at(formula, Moment(0.0, 0.0)) for formula in formulas])
+    read = (formula for formula in formulas if _count_nested(formula) <= MOST_NESTED)
+    return _combine([_hold_at(formula, Moment(0.0, 0.0)) for formula in read])
+
+
+def _count_nested(formula: Formula) -> int:
+    """Return how many operators of time are nested in each other."""
+    return int(hasattr(formula, "interval")) + max(map(_count_nested, formula.children), default=0)
 
 
 def _combine(parts: Sequence[list[Alternative]]) -> list[Alternative]:
