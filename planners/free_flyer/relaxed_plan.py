@@ -19,8 +19,9 @@ from planners.free_flyer.given_up import GivenUp, list_given_up, measure, measur
 from planners.free_flyer.impossibility.reach import Kept
 from planners.free_flyer.impossibility.reason import find_impossibility
 from planners.free_flyer.nominal.diagnosis import find_relaxation, list_amounts
+from planners.free_flyer.nominal.object_way import find_most_impacts
 from planners.free_flyer.nominal.planner import make_free_flyer_plan
-from planners.free_flyer.nominal.task import NominalTask, PlanOptions, find_most_impacts
+from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.ways import count_pieces
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.loosening import list_conjuncts, loosen

@@ -137,7 +137,7 @@ class Command:
                     raise InputError(f"--encoding bezier prints its result; --{name} needs --encoding events")
 
     def _find_most_impacts(self, scenario: Any) -> int:
-        from planners.free_flyer.nominal.task import find_most_impacts
+        from planners.free_flyer.nominal.object_way import find_most_impacts
 
         return find_most_impacts(scenario) if self.max_impacts is None else self.max_impacts
 

@@ -19,6 +19,7 @@ class Attempt:
             all that takes longer; False: what takes longer alone.
         slanted: whether bodies may pass each other at a slant, too, see `NominalTask`.
         brief: whether every solution for one object is limited, and few remedies are tried for hasty motions.
+        guided: whether the only object is hit near the turns of its shortest way.
         brisk: whether robots may take longer to reach the speed of a leg, so that legs are faster.
     """
 
@@ -29,6 +30,7 @@ class Attempt:
     simple: bool | None = None
     slanted: bool = False
     brief: bool = False
+    guided: bool = False
 
     def choose_options(self, options: PlanOptions) -> PlanOptions:
         """Return the options of this attempt.

@@ -19,7 +19,7 @@ from planners.free_flyer.nominal.finishing import (
     plan_long_ways,
     plan_patiently,
 )
-from planners.free_flyer.nominal.robustness import MANY, RobustnessOptimum, maximise_robustness
+from planners.free_flyer.nominal.robustness import MANY, RobustnessOptimum, maximise_on_way, maximise_robustness
 from planners.free_flyer.nominal.screening import screen_task
 from planners.free_flyer.nominal.several_objects.joint_robustness import maximise_jointly
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
@@ -41,6 +41,7 @@ class Climber:
         brief: whether few remedies are tried for hasty motions.
         longest: time for the search for impacts [s].
         fewest: least number of impacts, with one object.
+        guided: whether the only object is hit near the turns of its shortest way.
         optimum: of the event grid, once it is known; an earlier attempt may have it.
     """
 
@@ -54,6 +55,7 @@ class Climber:
     brief: bool = False
     longest: float = math.inf
     fewest: int = 0
+    guided: bool = False
     optimum: RobustnessOptimum | None = None
 
     def climb(self) -> Plan:
@@ -67,12 +69,18 @@ class Climber:
             with budget.stage("screening"):
                 screen_task(task, self.max_impacts, options)
         search: Callable[..., RobustnessOptimum] = maximise_jointly
-        if len(task.scenario.objects) == 1:
+        if self.guided:
+            search = maximise_on_way
+        elif len(task.scenario.objects) == 1:
             search = partial(maximise_robustness, fewest=self.fewest)
         with budget.stage("robustness"):
             # An attempt leaves time for the next one.
             part = budget.share(min(self._find_time_to_search(), self.longest))
             optimum = self.optimum = self.optimum or search(task, self.max_impacts, part, options)
+            if optimum.corrections:
+                task = self.task = replace(task, corrections=optimum.corrections)
+            if self.guided:
+                search = partial(maximise_robustness, fewest=optimum.size.impacts)
             self.rho = optimum.rho
             late = optimum.found is not None or get_clock().stopped
             quick = None if late else quicken_legs(task, optimum, search, part, options)
@@ -208,4 +216,5 @@ def quicken_legs(
         found = search(quick, optimum.size.impacts, budget.share(budget.left / 2), options)
     except PlanningError:
         return None
+    quick = replace(quick, corrections=found.corrections or task.corrections)
     return (quick, found) if found.rho >= options.deeper * optimum.rho else None

@@ -161,7 +161,7 @@ def correct_word(
     size, bounds = replace(optimum.size, passing=True), (options.least, optimum.bound)
 
     def solve_patiently(corrections: Sequence[Correction]) -> WordGrid:
-        patient = replace(task, corrections=tuple(corrections))
+        patient = replace(task, corrections=(*task.corrections, *corrections))
         return solve_word_grid(patient, size, bounds, 0.25 * budget.left, options.robustness_gap, word)
 
     def read_cheapest(grid: WordGrid, rho: float) -> CostOptimum:

@@ -14,6 +14,7 @@ from planners.free_flyer.frame import Frame
 from planners.free_flyer.nominal.attempt import Attempt
 from planners.free_flyer.nominal.climber import Climber
 from planners.free_flyer.nominal.diagnosis import explain_failure
+from planners.free_flyer.nominal.object_way import count_turns
 from planners.free_flyer.nominal.screening import find_excluded_object, is_excluded
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.verdict import Trial, describe_reserves, judge_trials
@@ -57,7 +58,7 @@ def climb_ladder(
             tried = replace(tried, least=max(options.least, best.robustness))
         full = replace(attempt, brief=False)
         climber = Climber(attempt.cut_reserves(task, options), max_impacts, budget, tried, hurry=best is not None)
-        climber.brief = attempt.brief
+        climber.brief, climber.guided = attempt.brief, attempt.guided
         before = climbers.get(full)
         if before is not None and before.optimum is not None and before.optimum.complete:
             climber.optimum = before.optimum
@@ -136,12 +137,12 @@ def _exclude_object(
         return
     if len(trials) > 1 or trials[0].rho is not None or not isinstance(trials[0].error, Infeasible):
         return
-    least, most = attempt.cut_to_least(task, options), min(max_impacts, options.proof_impacts)
+    least = attempt.cut_to_least(task, options)
     with budget.stage("screening"):
-        name = find_excluded_object(least, most, options.least, options.proof_share * budget.left)
+        name = find_excluded_object(least, max_impacts, options.least, options.proof_share * budget.left)
     if name is None:
         return
-    way = f"{name} has no plan with up to {most} impacts of it, not even alone and with nothing in the way of robots"
+    way = f"{name} has no plan with up to {max_impacts} impacts, not even alone and with nothing in the way of robots"
     status = f"proven infeasible: {way}, and {describe_reserves(least, options.halvings)}"
     failure = Infeasible(f"plan of {scenario.name}", status, "allow more time, move the areas, or relax the formula")
     raise explain_failure(failure, least, max_impacts, budget, options)
@@ -161,7 +162,7 @@ def _exclude_pieces(
     It is tried once for every number of pieces, and where all attempts so far were proofs: a task without a plan is
     then told by one model instead of six, and there is time for every number of pieces.
     """
-    if attempt.slanted:
+    if attempt.slanted or attempt.guided:
         return False
     scenario, pieces = task.scenario, attempt.pieces
     alone = len(scenario.objects) == 1 and not scenario.starts_moving
@@ -199,7 +200,8 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
     round obstacles have, with each of the reserves; when these have failed as well, all other numbers.
 
     One object is first tried briefly with each of the reserves, for the same reason, and then with bodies that may pass
-    each other at a slant: with the least reserves, and with those for which the brief attempts proved nothing.
+    each other at a slant: with the least reserves, and with those for which the brief attempts proved nothing. Where
+    its shortest way turns, hits near these turns are tried before that; where it turns often, first of all.
     """
     needed = count_pieces(task.scenario, task.demands, task.reserves.wall) if options.thorough else None
     more = range(max(options.pieces) + 1, options.most_pieces + 1) if options.thorough else ()
@@ -207,6 +209,7 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
     first = first if needed is not None and needed > max(options.pieces) else []
     several = options.thorough and options.few is not None and len(task.scenario.objects) > 1
     kinds = [Attempt(options.pieces)]
+    turns = count_turns(task.scenario, task.demands, task.reserves.wall) if options.thorough else 0
     if several:
         # Where an object alone needs more impacts than few, what is simple is tried with any number of them.
         simple = Attempt(options.pieces, few=True, simple=True)
@@ -217,6 +220,8 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
         attempt = replace(kind, halvings=halvings)
         if kind.simple and not kind.few and not _needs_many(halvings, trials):
             continue
+        if kind.brief and turns >= options.many_turns:
+            yield from _list_guided(task, options, halvings)
         yield from _skip_proven(attempt, trials)
         if trials and trials[-1].rho is None:
             if options.thorough and attempt.is_slow(task) and not kind.simple:
@@ -230,6 +235,9 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
             slow = (replace(kind, halvings=less) for less in range(options.halvings + 1))
             yield from (replace(one, brisk=True) for one in slow if one.is_slow(task))
         if kind.brief and halvings == options.halvings:
+            if 0 < turns < options.many_turns:
+                for less in range(options.halvings + 1):
+                    yield from _list_guided(task, options, less)
             slants = [replace(kind, halvings=less, pieces=options.slanted_pieces) for less in range(halvings, -1, -1)]
             proven = {trial.attempt.halvings for trial in trials if trial.is_proof} - {halvings}
             yield from (replace(one, slanted=True) for one in slants if one.halvings not in proven)
@@ -238,6 +246,14 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
         for halvings, pieces in itertools.product(range(options.halvings + 1), rest):
             attempt = Attempt(pieces, halvings)
             yield from (attempt, replace(attempt, brisk=True)) if attempt.is_slow(task) else (attempt,)
+
+
+def _list_guided(task: NominalTask, options: PlanOptions, halvings: int) -> Iterator[Attempt]:
+    """Yield the attempts in which the only object is hit near the turns of its shortest way."""
+    attempt = Attempt(options.guided_pieces, halvings, brief=True, guided=True)
+    yield attempt
+    if attempt.is_slow(task):
+        yield replace(attempt, brisk=True)
 
 
 def _needs_many(halvings: int, trials: Sequence[Trial]) -> bool:

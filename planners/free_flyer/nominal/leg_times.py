@@ -76,7 +76,46 @@ class Room:
         grid.model.require(place * self.sign - self.bound)
 
 
-Correction: TypeAlias = Wait | Room
+@dataclass(frozen=True)
+class HitPlace:
+    """Hold where an object is hit, up to a box, in a sequence that hits it so many times.
+
+    Args:
+        name: of the object.
+        number: of the hit among those of the object, from 0.
+        count: of its hits.
+        lower: corner of the box [m].
+        upper: opposite corner [m].
+    """
+
+    name: str
+    number: int
+    count: int
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Return what it is about; a later one with this key replaces it."""
+        return self.name, self.number
+
+    def add_to(self, grid: EventGrid) -> None:
+        """Add its rows to a grid, if it is of such a sequence, and what is hit at each of its events is given."""
+        events = range(1, len(grid.hits) + 1)
+        struck = [
+            [name for name in grid.objects if grid.model.limits(grid.involved(event, name))[1] > 0.0]
+            for event in events
+        ]
+        own = [event for event, names in zip(events, struck, strict=True) if self.name in names]
+        if len(own) != self.count or any(len(names) > 1 for names in struck):
+            return
+        place = grid.path(self.name)[own[self.number]]
+        for here, low, high in zip(place, self.lower, self.upper, strict=True):
+            grid.model.require(low - here)
+            grid.model.require(here - high)
+
+
+Correction: TypeAlias = Wait | Room | HitPlace
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from planners.budget import Budget, Work
 from planners.errors import PlanningError
 from planners.free_flyer.frame import Frame, find_frame
 from planners.free_flyer.nominal.ladder import climb_ladder
+from planners.free_flyer.nominal.object_way import find_most_impacts
 from planners.free_flyer.nominal.screening import refuse_impossible, refuse_low_bound
-from planners.free_flyer.nominal.task import NominalTask, PlanOptions, find_most_impacts
+from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.reserves import Reserves
 from planners.free_flyer.specification.central_hit import compute_shape_error
 from planners.free_flyer.specification.requirement import read_demands

@@ -11,7 +11,9 @@ from planners.budget import Budget
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.event_sequence import Word
 from planners.free_flyer.nominal.least_cost import CostOptimum
-from planners.free_flyer.nominal.screening import exclude_size
+from planners.free_flyer.nominal.leg_times import Correction
+from planners.free_flyer.nominal.object_way import find_object_way, list_merges
+from planners.free_flyer.nominal.screening import exclude_size, is_size_excluded
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.word_grid import WordGrid, solve_word_grid
 from planners.free_flyer.specification.grid import GridSize
@@ -36,6 +38,7 @@ class RobustnessOptimum:
         found: grid of objects that are moved one after another, whose alternatives are kept.
         fewer: optima of fewer impacts or pieces that are less robust, the most robust one first.
         complete: whether all sizes that were to be tried are decided.
+        corrections: where objects are hit, if that was given.
     """
 
     size: GridSize
@@ -47,6 +50,7 @@ class RobustnessOptimum:
     found: WordGrid | None = None
     fewer: tuple[RobustnessOptimum, ...] = ()
     complete: bool = True
+    corrections: tuple[Correction, ...] = ()
 
 
 def maximise_robustness(
@@ -127,6 +131,58 @@ def maximise_robustness(
         status = f"proven infeasible with up to {max_impacts} impacts and the planner's reserves"
         raise Infeasible(problem, status, "allow more impacts or time, move the areas, or relax the formula")
     return replace(best, complete=complete)
+
+
+def maximise_on_way(task: NominalTask, max_impacts: int, budget: Budget, options: PlanOptions) -> RobustnessOptimum:
+    """Return the optimum with hits near the turns of the only object's shortest way.
+
+    One hit for every two near turns is tried first, then one for each of more and more of them.
+
+    Args:
+        task: what is asked.
+        max_impacts: greatest number of impacts tried.
+        budget: time.
+        options: when to stop.
+
+    Raises:
+        SolverFailed: there is none; that proves nothing.
+    """
+    ceiling = compute_geometric_bound(task.scenario, task.demands, task.solver)
+    way = find_object_way(task.scenario, task.demands, task.reserves.wall)
+    problem = f"plan of {task.scenario.name}"
+    if way is None:
+        raise SolverFailed(problem, "the formula names no place for the object", "name one")
+
+    def is_possible(merged: frozenset[int]) -> bool:
+        guided, size = (
+            replace(task, corrections=way.place_hits(merged)),
+            GridSize(way.impacts - len(merged), 1, passing=True),
+        )
+        return budget.left > 0.0 and not is_size_excluded(guided, size, (options.least, ceiling), budget.left)
+
+    pairs = [pair for pair in way.pairs if is_possible(frozenset([pair]))]
+    for merged in itertools.islice(list_merges(pairs), options.most_merges):
+        impacts = way.impacts - len(merged)
+        if impacts > max_impacts or not is_possible(merged):
+            continue
+        guided, found = replace(task, corrections=way.place_hits(merged)), list[RobustnessOptimum]()
+        for pieces in options.pieces:
+            least = max((one.rho for one in found), default=options.least)
+            if budget.left <= 0.0 or (found and least >= options.enough * ceiling):
+                break
+            budget.progress.impacts, budget.progress.pieces = impacts, pieces
+            limit = budget.left * (0.3 if found else 1.0)
+            with suppress(PlanningError):
+                found.append(
+                    _solve_size(guided, GridSize(impacts, pieces, passing=True), (least, ceiling), limit, options)
+                )
+        if found:
+            full = found[-1].rho >= ceiling - TOLERANCE
+            rho = ceiling if full else found[-1].rho
+            fewer = tuple(found[-2::-1])
+            return replace(found[-1], rho=rho, fewer=fewer, complete=full, corrections=guided.corrections)
+    status = "no plan with hits near the turns of the object's shortest way"
+    raise SolverFailed(problem, "time limit reached" if budget.left <= 0.0 else status, "raise the time limit")
 
 
 def order_sizes(options: PlanOptions, fewest: int, most: int) -> list[GridSize]:

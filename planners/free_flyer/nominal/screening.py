@@ -119,13 +119,38 @@ def find_excluded_object(task: NominalTask, max_impacts: int, least: float, time
             continue
         demands = read_demands(scenario, task.reserves.wall)
         ceiling = compute_geometric_bound(scenario, demands, task.solver)
-        own = [one for one, need in demands.predicates.items() if set(need.bodies) <= {name}]
-        freed = _drop_predicates(demands, [one for one in demands.predicates if one not in own])
-        freed = replace(freed, solids=tuple(need for need in demands.solids if need.body == name))
-        alone = replace(task, scenario=scenario, demands=freed)
+        alone = _free_robots(replace(task, scenario=scenario, demands=demands))
         if is_excluded(alone, 1, max_impacts, (least, ceiling), end - read_clock()):
             return name
     return None
+
+
+def _free_robots(task: NominalTask) -> NominalTask:
+    """Return the task of one object whose robots pass through everything, and of which nothing is asked."""
+    (name,), demands = task.scenario.objects, task.demands
+    freed = _drop_predicates(
+        demands, [one for one, need in demands.predicates.items() if not set(need.bodies) <= {name}]
+    )
+    return replace(task, demands=replace(freed, solids=tuple(need for need in demands.solids if need.body == name)))
+
+
+def is_size_excluded(task: NominalTask, size: GridSize, rho: tuple[float, float], time_limit: float) -> bool:
+    """Return whether the only object is proven to have no plan of a size even with nothing in the way of robots.
+
+    Args:
+        task: what is asked.
+        size: of the grid, with one piece a leg: robots that pass through everything fly straight.
+        rho: least and greatest robustness [m].
+        time_limit: of the solution [s].
+    """
+    try:
+        grid, _ = _free_robots(task).build(size, rho)
+        solve(grid.model, time_limit, math.inf, task.solver, work=task.work, nodes=task.easy_nodes)
+    except Infeasible:
+        return True
+    except SolverFailed:  # nothing is proven
+        pass
+    return False
 
 
 def is_excluded(task: NominalTask, pieces: int, max_impacts: int, rho: tuple[float, float], time_limit: float) -> bool:

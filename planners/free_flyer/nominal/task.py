@@ -85,11 +85,6 @@ class NominalTask:
         return grid, add_demands(grid, self.demands, self.scenario.control_period, size.passing, avoid)
 
 
-def find_most_impacts(scenario: FreeFlyerScenario) -> int:
-    """Return the greatest number of impacts that is tried where nobody says another one."""
-    return 3 + 3 * len(scenario.objects)
-
-
 class Wish(NamedTuple):
     """Say what a plan should do for its execution, where the robustness leaves room for it.
 
@@ -247,6 +242,9 @@ class PlanOptions:
         improve_share: share of all time for more robust impacts, once a brief attempt has a plan.
         slanted_pieces: numbers of pieces per leg of the last brief attempts, in which bodies may pass each other at a
             slant: a robot that overtakes what it has just hit then goes a third as far round it.
+        guided_pieces: numbers of pieces per leg where an object is hit near the turns of its shortest way.
+        most_merges: greatest number of choices of near turns that are one hit.
+        many_turns: from so many turns on, that comes first.
         expected: number of impacts to try first, then one more, then fewer, and none with more; None: count up from the
             fewest.
         screen: whether it is told first, with each of the reserves, where there is no plan, see `screen_task`.
@@ -255,7 +253,6 @@ class PlanOptions:
         halvings: how often the reserves are halved for a task that leaves no room for them.
         proof_share: share of the time left that it may take to prove, with the least of all reserves at once, that a
             number of pieces per leg has no plan; where it has one, the first point found ends it.
-        proof_impacts: greatest number of impacts of one of several objects in such a proof of it alone; it is named.
         brisk: factor of the time in which robots reach the speed of a leg, where their thrust limits this speed and the
             event grid has no plan.
         turns: factors of the time for starting and stopping, tried when motions prove too quick to be smoothed.
@@ -300,12 +297,14 @@ class PlanOptions:
     brief_less: tuple[float, ...] = (1.0, 0.92, 0.5)
     improve_share: float = 0.15
     slanted_pieces: tuple[int, ...] = (2, 3)
+    guided_pieces: tuple[int, ...] = (1, 2, 3)
+    most_merges: int = 24
+    many_turns: int = 3
     expected: int | None = None
     screen: bool = False
     many_impacts: int = 3
     halvings: int = 2
     proof_share: float = 0.3
-    proof_impacts: int = 6
     brisk: float = 2.0
     turns: tuple[float, ...] = (1.0, 1.5)
     words: int = 3

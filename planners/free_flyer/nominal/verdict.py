@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from planners.budget import Budget, count_things, get_clock
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.attempt import Attempt
-from planners.free_flyer.nominal.task import NominalTask, find_most_impacts
+from planners.free_flyer.nominal.object_way import find_most_impacts
+from planners.free_flyer.nominal.task import NominalTask
 
 SHARES = {0: "all", 1: "half", 2: "a quarter"}  # of the reserves that are left when they were halved so often
 

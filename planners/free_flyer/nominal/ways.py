@@ -34,7 +34,7 @@ def count_pieces(scenario: FreeFlyerScenario, demands: Demands, wall: float) -> 
         for name, robot in scenario.robots.items():
             inset = robot.radius + wall
             lower, upper = np.array(scenario.world.lower) + inset, np.array(scenario.world.upper) - inset
-            needs = [need for need in _list_avoided(demands) if need.body == name]
+            needs = [need for need in list_avoided(demands) if need.body == name]
             way = find_way(np.array(robot.start), np.array(body.start), needs, lower, upper)
             if way is not None:
                 counts.append(len(way) - 1)
@@ -86,7 +86,7 @@ def find_way(
     return None
 
 
-def _list_avoided(demands: Demands) -> Iterable[Requirement]:
+def list_avoided(demands: Demands) -> Iterable[Requirement]:
     """Yield the solid obstacles, whether the formula names them or not."""
     named = (need for need in demands.predicates.values() if need.kind == "avoid" and need.clearance > 0.0)
     return itertools.chain(demands.solids, named)

@@ -194,6 +194,8 @@ def _append_impacts(
     word = (*done.word[:gap], *((ANYBODY, name),) * impacts, *done.word[gap:])
     grid = build_event_grid(scenario, len(word), (rho - NEAR, rho), task.reserves, pieces, word=word, sharp=True)
     grid = replace(grid, axes=DIRECTIONS)  # a flight may pass a resting object at a slant
+    for correction in task.corrections:
+        correction.add_to(grid)
     pin_events(grid, done, gap)
     pin_later(grid, done, gap, impacts, name)
     add_demands(grid, demands, scenario.control_period, passing=True)

@@ -13,7 +13,8 @@ from planners.budget import Budget
 from planners.errors import Infeasible, PlanningError, SolverFailed
 from planners.free_flyer.nominal.event_sequence import ANYBODY, Hitter, Word
 from planners.free_flyer.nominal.least_cost import minimise_path_cost
-from planners.free_flyer.nominal.robustness import MANY, RobustnessOptimum, maximise_robustness
+from planners.free_flyer.nominal.object_way import count_turns
+from planners.free_flyer.nominal.robustness import MANY, RobustnessOptimum, maximise_on_way, maximise_robustness
 from planners.free_flyer.nominal.several_objects.composition import compose_objects, is_large
 from planners.free_flyer.nominal.several_objects.giving_way import give_way
 from planners.free_flyer.nominal.several_objects.sequence_search import (
@@ -51,10 +52,12 @@ def maximise_jointly(task: NominalTask, max_impacts: int, budget: Budget, option
     rho = min([ceiling, *(optimum.rho for _, optimum in alone.values())])
     pieces = max([1, *(optimum.size.pieces for _, optimum in alone.values())])
     numbers = {name: optimum.size.impacts for name, (_, optimum) in alone.items()}
-    search = _JointSearch(task, max_impacts, budget, options, numbers, pieces, rho, ceiling)
+    places = [place for _, optimum in alone.values() for place in optimum.corrections]
+    guided = replace(task, corrections=(*task.corrections, *places))
+    search = _JointSearch(guided, max_impacts, budget, options, numbers, pieces, rho, ceiling)
     found = search.find(alone)
     if found is not None:
-        return found
+        return replace(found, corrections=guided.corrections)
     if options.few is not None or options.simple:
         few = "" if options.few is None else f" with up to {options.few} impacts of each object"
         status = f"no {'simple ' if options.simple else ''}sequence found{few}"
@@ -79,9 +82,36 @@ def _maximise_alone(task: NominalTask, max_impacts: int, budget: Budget, options
         own = replace(task, scenario=scenario, demands=read_demands(scenario, task.reserves.wall))
         budget.progress.about, budget.progress.robustness = f"{name} alone", None
         brief = replace(options, expected=None, enough=min(options.enough, options.enough_alone))
-        optimum = maximise_robustness(own, most, budget, brief)
-        alone[name] = own, _prefer_small(optimum, options.search.nearly) if options.thorough else optimum
+        optimum = _maximise_one(own, most, max_impacts, budget, brief)
+        optimum = _prefer_small(optimum, options.search.nearly) if options.thorough else optimum
+        alone[name] = replace(own, corrections=optimum.corrections), optimum
     return alone
+
+
+def _maximise_one(task: NominalTask, few: int, most: int, budget: Budget, options: PlanOptions) -> RobustnessOptimum:
+    """Return the optimum of one object alone; where its shortest way turns, hits near these turns are tried, too.
+
+    Args:
+        task: of the object.
+        few: greatest number of impacts anywhere.
+        most: greatest number near the turns.
+        budget, options: as for `maximise_robustness`.
+
+    Raises:
+        PlanningError: no plan.
+    """
+    turns = count_turns(task.scenario, task.demands, task.reserves.wall) if options.thorough else 0
+    guided = replace(options, pieces=options.guided_pieces, pauses=options.brief_pauses)
+    if turns >= options.many_turns:
+        with suppress(PlanningError):
+            return maximise_on_way(task, most, budget.share(options.attempt_share * budget.left), guided)
+    try:
+        return maximise_robustness(task, few, budget, options)
+    except PlanningError:
+        if 0 < turns < options.many_turns and options.few is None:
+            with suppress(PlanningError):
+                return maximise_on_way(task, most, budget.share(options.attempt_share * budget.left), guided)
+        raise
 
 
 def _prefer_small(optimum: RobustnessOptimum, share: float) -> RobustnessOptimum:

@@ -79,7 +79,7 @@ def test_an_object_that_has_no_time_even_alone_is_named(late: int, excluded: str
 
 def test_a_whole_task_is_proven_by_one_of_its_objects() -> None:
     work = Work()
-    with pytest.raises(Infeasible, match="pop has no plan with up to 6 impacts of it, not even alone") as told:
+    with pytest.raises(Infeasible, match="pop has no plan with up to 9 impacts, not even alone") as told:
         make_free_flyer_plan(load("exchange", formula=SOON.format(24)), work=work, options=PlanOptions(diagnosis=0.0))
     assert "a quarter of the planner's reserves" in told.value.status
     assert work.done < 1e5
