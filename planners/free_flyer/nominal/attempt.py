@@ -18,7 +18,8 @@ class Attempt:
         simple: whether several objects are only moved as each would be alone, or one after another; None: that and
             all that takes longer; False: what takes longer alone.
         slanted: whether bodies may pass each other at a slant, too, see `NominalTask`.
-        brief: whether every solution for one object is limited, and few remedies are tried for hasty motions.
+        brief: whether every solution for one object, or for the next one of several, is limited, and few remedies are
+            tried for hasty motions.
         guided: whether the only object is hit near the turns of its shortest way.
         brisk: whether robots may take longer to reach the speed of a leg, so that legs are faster.
     """
@@ -46,6 +47,9 @@ class Attempt:
         if self.brief:
             limits = options.brief_patience, options.brief_less
             own = replace(own, pauses=options.brief_pauses, patience=limits[0], less=limits[1])
+        if self.brief and self.simple:
+            compose = replace(options.compose, nodes=options.compose.brief_nodes, shares=options.compose.shares[:1])
+            own = replace(own, pauses=options.pauses, compose=compose, search=replace(options.search, settled=0))
         return own
 
     def cut_reserves(self, task: NominalTask, options: PlanOptions) -> NominalTask:

@@ -58,9 +58,9 @@ def climb_ladder(
             tried = replace(tried, least=max(options.least, best.robustness))
         full = replace(attempt, brief=False)
         climber = Climber(attempt.cut_reserves(task, options), max_impacts, budget, tried, hurry=best is not None)
-        climber.brief, climber.guided = attempt.brief, attempt.guided
+        climber.brief, climber.guided = attempt.brief and not several, attempt.guided
         before = climbers.get(full)
-        if before is not None and before.optimum is not None and before.optimum.complete:
+        if not several and before is not None and before.optimum is not None and before.optimum.complete:
             climber.optimum = before.optimum
         climbers[full] = climber
         # What a brief attempt could not tell, this one does.
@@ -78,7 +78,7 @@ def climb_ladder(
             shallow = best.robustness < options.deep * best.bound
         satisfying = climber.rho is None or plan.robustness >= options.satisfying * climber.rho
         if not options.thorough or (satisfying and not shallow):
-            if attempt.brief and best is plan:
+            if climber.brief and best is plan:
                 best = _improve_plan(plan, climber, options)
             break
         trials.append(Trial(attempt, climber.failure, climber.rho))
@@ -213,7 +213,7 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
     if several:
         # Where an object alone needs more impacts than few, what is simple is tried with any number of them.
         simple = Attempt(options.pieces, few=True, simple=True)
-        kinds = [simple, replace(simple, few=False), replace(simple, simple=False), *kinds]
+        kinds = [replace(simple, brief=True), simple, replace(simple, few=False), replace(simple, simple=False), *kinds]
     elif options.thorough and len(task.scenario.objects) == 1:
         kinds = [Attempt(options.pieces, brief=True), *kinds]
     for kind, halvings in itertools.product(kinds, range(options.halvings + 1)):
@@ -234,7 +234,7 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
             # Half of the reserves more often suffice than robots that take longer to become faster.
             slow = (replace(kind, halvings=less) for less in range(options.halvings + 1))
             yield from (replace(one, brisk=True) for one in slow if one.is_slow(task))
-        if kind.brief and halvings == options.halvings:
+        if kind.brief and not several and halvings == options.halvings:
             if 0 < turns < options.many_turns:
                 for less in range(options.halvings + 1):
                     yield from _list_guided(task, options, less)

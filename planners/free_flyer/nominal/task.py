@@ -187,6 +187,7 @@ class CompositionOptions:
         more_impacts: than an object needs alone, at most.
         gap: to which an object is done as early as may be, relative; that it is done counts more than when.
         nodes: of branch and bound for the impacts of one object.
+        brief_nodes: the same in brief attempts.
         longest: wall time for them, so that a busy machine leaves time for the next order [s].
         binaries: of the model of one sequence, above which this comes before the search over sequences; the shipped
             scenarios have fewer.
@@ -197,6 +198,7 @@ class CompositionOptions:
     more_impacts: int = 1
     gap: float = 0.1
     nodes: int = 500
+    brief_nodes: int = 60
     longest: float = 20.0
     binaries: int = 250
     time: float = 0.5
