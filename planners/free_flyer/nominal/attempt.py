@@ -50,6 +50,8 @@ class Attempt:
         if self.brief and self.simple:
             compose = replace(options.compose, nodes=options.compose.brief_nodes, shares=options.compose.shares[:1])
             own = replace(own, pauses=options.pauses, compose=compose, search=replace(options.search, settled=0))
+        elif self.few and self.simple and not self.brisk:
+            own = replace(own, near_words=False)
         return own
 
     def cut_reserves(self, task: NominalTask, options: PlanOptions) -> NominalTask:

@@ -192,12 +192,12 @@ def _drop_undecided(trials: Sequence[Trial]) -> list[Trial]:
 def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Trial]) -> Iterator[Attempt]:
     """Yield the attempts in the order in which they are made.
 
-    Several objects are first tried with few impacts and each of the reserves: to exclude all the other numbers takes
-    long where the reserves leave no room. Of these attempts those come first in which objects are moved as each would
-    be alone, or one after another: that takes seconds, and less reserves often suffice where longer sequences would
-    have to be searched with all of them. Where the event grid has no plan, robots whose thrust limits their legs may
-    take longer to become faster. Legs get more pieces where it has no plan without: first as many as the shortest ways
-    round obstacles have, with each of the reserves; when these have failed as well, all other numbers.
+    Several objects are first tried with few impacts and each of the reserves, briefly at first: to exclude all the
+    other numbers takes long where the reserves leave no room. Of these attempts those come first in which objects are
+    moved as each would be alone, or one after another: that takes seconds, and less reserves often suffice where longer
+    sequences would have to be searched with all of them. Where the event grid has no plan, robots whose thrust limits
+    their legs may take longer to become faster. Legs get more pieces where it has no plan without: first as many as the
+    shortest ways round obstacles have, with each of the reserves; when these have failed as well, all other numbers.
 
     One object is first tried briefly with each of the reserves, for the same reason, and then with bodies that may pass
     each other at a slant: with the least reserves, and with those for which the brief attempts proved nothing. Where
@@ -217,7 +217,7 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
     elif options.thorough and len(task.scenario.objects) == 1:
         kinds = [Attempt(options.pieces, brief=True), *kinds]
     for kind, halvings in itertools.product(kinds, range(options.halvings + 1)):
-        attempt = replace(kind, halvings=halvings)
+        attempt, last = replace(kind, halvings=halvings), halvings == options.halvings
         if kind.simple and not kind.few and not _needs_many(halvings, trials):
             continue
         if kind.brief and turns >= options.many_turns:
@@ -227,14 +227,14 @@ def list_attempts(task: NominalTask, options: PlanOptions, trials: Sequence[Tria
             if options.thorough and attempt.is_slow(task) and not kind.simple:
                 yield from _skip_proven(replace(attempt, brisk=True), trials)
             for number in first:
-                longer = replace(attempt, pieces=(number,), brief=False)
+                longer = replace(attempt, pieces=(number,), brief=kind.brief and several)
                 if not any(trial.attempt == longer for trial in trials):
                     yield from _skip_proven(longer, trials)
-        if kind.simple and halvings == options.halvings and all(trial.rho is None for trial in trials):
+        if last and kind.simple and not kind.brief and all(trial.rho is None for trial in trials):
             # Half of the reserves more often suffice than robots that take longer to become faster.
             slow = (replace(kind, halvings=less) for less in range(options.halvings + 1))
             yield from (replace(one, brisk=True) for one in slow if one.is_slow(task))
-        if kind.brief and not several and halvings == options.halvings:
+        if last and kind.brief and not several:
             if 0 < turns < options.many_turns:
                 for less in range(options.halvings + 1):
                     yield from _list_guided(task, options, less)

@@ -130,7 +130,7 @@ def find_most_impacts(scenario: FreeFlyerScenario) -> int:
     wall = Reserves().wall * find_frame(scenario).length
     ways = []
     for name in scenario.objects:
-        own = restrict_to_object(scenario, name)
+        own = scenario if len(scenario.objects) == 1 else restrict_to_object(scenario, name)
         ways.append(None if own is None else find_object_way(own, read_demands(own, wall), wall))
     few = 3 if len(ways) > 1 else 6
     return 3 * (len(ways) > 1) + sum(few if way is None else max(few, way.impacts) for way in ways)

@@ -235,6 +235,8 @@ class PlanOptions:
         few: impacts of every one of several objects that are tried first, with each of the reserves; None: all are.
         simple: whether several objects are only moved as each would be alone, or one after another; None: that and
             all that takes longer; False: what takes longer alone.
+        near_words: whether sequences near those of the objects alone are compared; where brief attempts have done so,
+            they are not compared again.
         pauses: of the solver in each solution for one number of impacts and pieces, above which the number is passed
             over, or its best point is taken; None: any number. It is the limit of the attempt that is made.
         brief_pauses: this limit in brief attempts, which are made with all, half and a quarter of the reserves before
@@ -293,6 +295,7 @@ class PlanOptions:
     thrust: float | None = None
     few: int | None = 3
     simple: bool | None = None
+    near_words: bool = True
     pauses: int | None = None
     brief_pauses: int = 4000
     brief_patience: tuple[float, ...] = (1.05, 1.5)

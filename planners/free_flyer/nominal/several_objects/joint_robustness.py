@@ -150,7 +150,7 @@ class _JointSearch:
         if found is not None:
             return found
         seed, ways = self._join(alone)
-        if not done and len(seed) <= self.max_impacts:
+        if options.near_words and not done and len(seed) <= self.max_impacts:
             found = self._search_words(seed)
         if options.thorough and not done:
             found = found or (None if large else self._compose()) or self._settle(seed)

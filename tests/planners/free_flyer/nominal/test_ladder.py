@@ -109,9 +109,9 @@ def test_robots_that_are_faster_later_come_after_less_reserves_of_several_object
     for attempt in list_attempts(make_task(load("exchange")), PlanOptions(), trials):
         made.append(attempt)
         trials.append(Trial(attempt, UNDECIDED))
-    simple = [(attempt.halvings, attempt.brisk) for attempt in made if attempt.simple]
-    assert simple[:3] == [(0, False), (1, False), (2, False)]
-    assert all(brisk for _, brisk in simple[3:])
+    simple = [(attempt.brief, attempt.halvings, attempt.brisk) for attempt in made if attempt.simple]
+    assert simple[:6] == [(brief, halvings, False) for brief in (True, False) for halvings in range(3)]
+    assert all(brisk for _, _, brisk in simple[6:])
 
 
 def test_numbers_of_impacts_that_a_few_pauses_leave_open_are_no_proof() -> None:

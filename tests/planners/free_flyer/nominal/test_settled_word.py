@@ -99,12 +99,13 @@ def test_several_objects_are_moved_simply_with_all_reserves_before_anything_long
     trials: list[Trial] = []
     kinds = []
     for attempt in list_attempts(task, PlanOptions(), trials):
-        kinds.append((attempt.few, attempt.simple, attempt.halvings))
+        kinds.append((attempt.few, attempt.simple, attempt.brief, attempt.halvings))
         trials.append(Trial(attempt, SolverFailed("joint", "none found", "more")))
     first = (
-        [(True, True, k) for k in range(3)]
-        + [(True, False, k) for k in range(3)]
-        + [(False, None, k) for k in range(3)]
+        [(True, True, True, k) for k in range(3)]
+        + [(True, True, False, k) for k in range(3)]
+        + [(True, False, False, k) for k in range(3)]
+        + [(False, None, False, k) for k in range(3)]
     )
     assert [kind for kind, _ in itertools.groupby(kinds)][: len(first)] == first
 
