@@ -43,7 +43,7 @@ class Command:
     solver: str = "highs"
     """Of mixed-integer models: highs, or scip or gurobi where they are installed."""
     max_impacts: int | None = None
-    """Most impacts a plan may have; 6 for one object and 3 for every further one without."""
+    """Most impacts a plan may have; without: 6, 3 for every further object, and enough for each turn of their ways."""
     time_limit: float = 60.0
     """Limit of the solvers [s]."""
     proof: float = 0.0

@@ -40,7 +40,8 @@ def make_free_flyer_plan(
     Args:
         scenario: any numbers of robots and objects; only believed physics are read. A polygon takes as much room as
             the disc around it; it is hit through its centre or, where no such plan is good enough, as that disc.
-        max_impacts: greatest number of impacts tried; default: 6, and 3 for every further object.
+        max_impacts: greatest number of impacts tried; default: 6, and 3 for every further object, or as many as the
+            shortest ways of objects need with a hit at every turn.
         time_limit: wall time for all stages [s].
         solver: of mixed-integer models, a key of `planners.solvers.SOLVERS`.
         reserves: speed, time and distance kept in hand for the execution.
