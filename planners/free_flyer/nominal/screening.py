@@ -119,7 +119,7 @@ def find_excluded_object(task: NominalTask, max_impacts: int, least: float, time
             continue
         demands = read_demands(scenario, task.reserves.wall)
         ceiling = compute_geometric_bound(scenario, demands, task.solver)
-        alone = _free_robots(replace(task, scenario=scenario, demands=demands))
+        alone = _free_robots(replace(task, scenario=scenario, demands=demands, proof_nodes=task.alone_nodes))
         if is_excluded(alone, 1, max_impacts, (least, ceiling), end - read_clock()):
             return name
     return None

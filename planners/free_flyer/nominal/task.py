@@ -37,6 +37,7 @@ class NominalTask:
             differ in length; both let robots be quicker, and take more binaries.
         easy_nodes: of branch and bound, in proofs that leave out what is in the way.
         proof_nodes: of branch and bound, in proofs for the least of all reserves.
+        alone_nodes: the same in proofs for one of several objects with nothing in the way of robots: they are small.
     """
 
     scenario: FreeFlyerScenario
@@ -50,6 +51,7 @@ class NominalTask:
     slanted: bool = False
     easy_nodes: int = 200
     proof_nodes: int = 5000
+    alone_nodes: int = 50_000
 
     def build(
         self,
