@@ -155,6 +155,8 @@ def find_fall(height: float, speed: float, acceleration: float) -> float:
     root = math.sqrt(inside)
     if height >= 0 and speed < 0:
         return 2 * height / (root - speed)
+    if height < 0 and speed <= 0:
+        return math.inf  # said here, for an acceleration near zero makes rounding of the sum below an impact at once
     return (speed + root) / -acceleration if acceleration < 0 and speed + root >= 0 else math.inf
 
 
