@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -118,10 +119,15 @@ def make_relaxed_plan(
     for _ in range(options.halvings):
         reserves = reserves.halved()
     calm = replace(options, diagnosis=0.0, halvings=0)
-    search = _Search(scenario, prices, given, reserves, calm, relaxation, budget, failure)
+    search = _Search(scenario, prices, given, reserves, calm, relaxation, budget)
     for slack in relaxation.slacks:
         if budget.left > 0.0 and search.best is None:
             search.find(slack)
+    if search.best is None:
+        search.find_rest()
+    if search.best is None:
+        status = f"{failure.status}; and with less asked for no plan was found within {time_limit:g} s, either"
+        raise type(failure)(failure.problem, status, failure.remedy) from failure
     return search.finish()
 
 
@@ -137,7 +143,6 @@ class _Search:
         options: of plans.
         relaxation: how the relaxed task is planned.
         budget: time.
-        failure: the last one.
         best: plan that gives up least so far.
         task: of this plan.
         least: greatest loosening of the only conjunct that is loosened that is proven to be too little [m].
@@ -151,7 +156,6 @@ class _Search:
     options: PlanOptions
     relaxation: RelaxationOptions
     budget: Budget
-    failure: PlanningError
     best: Plan | None = None
     task: FreeFlyerScenario | None = None
     least: float | None = None
@@ -171,8 +175,7 @@ class _Search:
         solver, scenario = self.given["solver"], self.scenario
         try:
             amounts = _find_amounts(scenario, self.prices, self.most_impacts, reserves, limit, solver, self.options)
-        except PlanningError as error:
-            self.failure = error
+        except PlanningError:
             return
         total = self._price(amounts)
         if total <= 0.0:
@@ -193,6 +196,13 @@ class _Search:
                 low = middle
         self.low = low
 
+    def find_rest(self) -> None:
+        """Find a plan that hits nothing: it takes hardly any time, and is better than none."""
+        limit, solver = self.relaxation.finding * self.budget.limit, self.given["solver"]
+        with suppress(PlanningError):
+            amounts = _find_amounts(self.scenario, self.prices, 0, self.reserves, limit, solver, self.options)
+            self._try(amounts, self.reserves, limit)
+
     def _price(self, amounts: Sequence[float]) -> float:
         """Return the price of missing conjuncts by so much."""
         return sum(price * max(0.0, amount) for price, amount in zip(self.prices, amounts, strict=True))
@@ -210,17 +220,16 @@ class _Search:
                 low = middle
         return low
 
-    def _try(self, amounts: Sequence[float], reserves: Reserves) -> bool:
+    def _try(self, amounts: Sequence[float], reserves: Reserves, limit: float | None = None) -> bool:
         """Return whether the loosened task has a plan that gives up less than the best one, and keep it."""
-        limit = self.relaxation.trial * self.budget.left
+        limit = self.relaxation.trial * self.budget.left if limit is None else limit
         if limit <= 0.0:
             return False
         room = self.relaxation.room * find_frame(self.scenario).length
         task = loosen(self.scenario, [amount + room if amount > 0.0 else 0.0 for amount in amounts])
         try:
             plan = make_free_flyer_plan(task, time_limit=limit, reserves=reserves, options=self.options, **self.given)
-        except PlanningError as error:
-            self.failure = error
+        except PlanningError:
             return False
         price, best = (
             math.inf if one is None else self._price([part.missed for part in measure_missed(self.scenario, one)])
@@ -231,13 +240,9 @@ class _Search:
         return price < best
 
     def finish(self) -> RelaxedPlan:
-        """Return the best plan.
-
-        Raises:
-            PlanningError: there is none.
-        """
-        if self.best is None or self.task is None:
-            raise self.failure
+        """Return the best plan, of which there is one."""
+        assert self.best is not None
+        assert self.task is not None
         given_up = tuple(list_given_up(self.scenario, self.best))
         bound = self.least if len(given_up) == 1 and self.least else None
         return RelaxedPlan(self.best, self.task, given_up, measure(self.scenario, self.best), bound, self.low)

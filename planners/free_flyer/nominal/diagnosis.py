@@ -16,6 +16,7 @@ from planners.budget import Budget, read_clock
 from planners.errors import Infeasible, PlanningError
 from planners.free_flyer.nominal.clearance_rows import solve_apart
 from planners.free_flyer.nominal.climber import Climber
+from planners.free_flyer.nominal.object_way import find_most_impacts
 from planners.free_flyer.nominal.task import NominalTask, PlanOptions
 from planners.free_flyer.nominal.ways import count_pieces
 from planners.free_flyer.specification.grid import GridSize
@@ -142,7 +143,9 @@ def explain_failure(
     if not found:
         return failure
     exists = "a plan exists" if _try_remedy(task, found, max_impacts, options) else "impacts would exist"
-    return Infeasible(failure.problem, failure.status, f"{exists} with {' and '.join(map(str, found))}")
+    few = max_impacts < find_most_impacts(task.scenario)  # somebody chose fewer
+    more = f"allow more impacts (--max-impacts {max_impacts + 1} or more); " * few
+    return Infeasible(failure.problem, failure.status, f"{more}{exists} with {' and '.join(map(str, found))}")
 
 
 def _try_remedy(task: NominalTask, found: Sequence[Relaxation], max_impacts: int, options: PlanOptions) -> bool:

@@ -62,7 +62,9 @@ def judge_trials(
     if get_clock().stopped:
         limit = f"the {budget.seconds:.3g} s until it was interrupted{done}"
     tried = f"{_name_size(max_impacts, most)} and {_name_reserves(trials)}"
-    status = f"no plan found, and none excluded, within {limit}: tried {tried}; {_describe_failures(trials, task)}"
+    status = (
+        f"no plan found, and none excluded, within {limit}: tried {tried}; {_describe_failures(trials, task, late)}"
+    )
     more = f"allow more impacts (--max-impacts {max_impacts + 1} or more)"
     few = max_impacts < find_most_impacts(task.scenario)  # somebody chose fewer
     remedy = f"raise the time limit (--time-limit){f', {more}' * few}" if late else f"{more} or a longer horizon"
@@ -97,11 +99,14 @@ def _name_reserves(trials: Sequence[Trial]) -> str:
     return f"{' or '.join(names)} of the planner's reserves"
 
 
-def _describe_failures(trials: Sequence[Trial], task: NominalTask) -> str:
+def _describe_failures(trials: Sequence[Trial], task: NominalTask, late: bool) -> str:
     rough = [trial.rho for trial in trials if trial.rho is not None]
     if rough:
         best = max(rough) * task.frame.length
-        return f"impacts of robustness {best:.3g} m exist, but robots are not quick enough for their motions"
+        why = (
+            "no smooth motions were found for them in time" if late else "robots are not quick enough for their motions"
+        )
+        return f"impacts of robustness {best:.3g} m exist, but {why}"
     if any(trial.is_proof for trial in trials):
         return "the numbers that could be decided are infeasible"
     return "none of the numbers of impacts could be decided"
