@@ -147,12 +147,18 @@ class Reach:
             return math.sqrt(2.0 * way / strength)
         return way / fastest + fastest / (2.0 * strength)
 
-    def find_touch(self, name: str, struck: str) -> np.ndarray:
-        """Return a box that holds all places from which a robot touches an object at its start, shape (n, 2) [m]."""
-        place, box = np.array(self.scenario.body(struck).start), self.space(name).box
+    def find_touch(self, name: str, struck: str, place: np.ndarray | None = None) -> np.ndarray:
+        """Return a box that holds all places from which a robot touches an object, shape (n, 2) [m].
+
+        Args:
+            name: of the robot.
+            struck: name of the object.
+            place: convex polygon that the object is in; None: it is at its start.
+        """
+        place, box = np.array([self.scenario.body(struck).start]) if place is None else place, self.space(name).box
         reach = self.scenario.body(name).radius + self.scenario.body(struck).radius + self.forgiven
         faces, bounds = list_faces(box) if len(box) > 2 else (np.zeros((0, 2)), np.zeros(0))
-        return clip(make_box(place - reach, place + reach), faces, bounds)
+        return clip(make_box(place.min(axis=0) - reach, place.max(axis=0) + reach), faces, bounds)
 
     def arrive(self, name: str, place: np.ndarray) -> tuple[float, float]:
         """Return the length of a body's least way into a place, and the time at which it can be there [m, s]."""

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from impact_envs.free_flyer.schema import FreeFlyerScenario
+from impact_envs.free_flyer.schema import FreeFlyerScenario, Object
 from impact_envs.stl import In, Predicate
 from planners.budget import count_things
 from planners.free_flyer.impossibility.coexistence import check_together
@@ -111,6 +111,10 @@ class _Examiner:
             if isinstance(found, Impossibility):
                 return found
             timed.append(found)
+            if call.start >= self.scenario.horizon and self.reach.arrive(call.body, call.place)[0] > 0.0:
+                stopped = self._check_stop(call)
+                if stopped is not None:
+                    return stopped
         for name in self.scenario.bodies:
             own = [call for call in timed if call.body == name]
             stays = [stay for stay in self.stays if self._is_place(stay.predicate, name)]
@@ -272,6 +276,19 @@ class _Examiner:
         return Impossibility(
             ": ".join((told, " and ".join(ways[:2]))), "open a way from a robot to it, or move a robot"
         )
+
+    def _check_stop(self, call: Call) -> Impossibility | None:
+        """Return why no robot can stop an object where it has to rest in the end."""
+        body = self.scenario.body(call.body)
+        if not isinstance(body, Object) or not body.rest or any(body.start_velocity):
+            return None  # what moves slowly may rest unhit
+        touched = {name: self.reach.find_touch(name, call.body, call.place) for name in self.scenario.robots}
+        if any(math.isfinite(self.reach.space(name).measure(place)) for name, place in touched.items() if len(place)):
+            return None
+        told = f"{call.body} has to rest {call.said} {call.when}, but no robot can come up to it there to stop it"
+        if len(self.scenario.objects) > 1:
+            told += " (no other object is thrown at it by a plan)"
+        return Impossibility(told, "open a way from a robot to that place, or move a robot")
 
     def _tell_late(self, call: Call, way: float, time: float) -> Impossibility:
         body, speed, wait = call.body, self.reach.speed(call.body), self.reach.wait(call.body)

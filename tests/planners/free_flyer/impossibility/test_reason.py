@@ -67,6 +67,7 @@ GAP = {
     "high": {"lower": [3.0, 2.19], "upper": [3.4, 4.0], "solid": True},
 }
 LOW = {"ann": ROBOT | {"start": [1.0, 1.0]}}
+SMALL = {"ball": BODY | {"start": [2.0, 2.0], "radius": 0.1}}
 BOB = {"ann": ROBOT | {"start": [1.0, 2.0]}, "bob": ROBOT | {"start": [1.0, 3.0], "goal": [5.0, 3.0]}}
 
 
@@ -81,6 +82,11 @@ BOB = {"ann": ROBOT | {"start": [1.0, 2.0]}, "bob": ROBOT | {"start": [1.0, 3.0]
         ),
         ("F[0,100] ball in dock", {"obstacles": GAP}, "closed by low and high, the widest gap is 0.38 m, it needs 0.4"),
         ("F[0,100] ball in dock", {"obstacles": CAGE}, "no way for ball from its start"),
+        (
+            "G[100,100] ball in dock",
+            {"obstacles": GAP, "objects": SMALL},
+            "ball has to rest in dock at 100 s, but no robot can come up to it there to stop it",
+        ),
         ("F[0,100] ball in far", {}, "in far by 100 s, but that place lies outside of the world"),
         ("F[0,100] ball in dock & G[0,100] ball not in dock", {}, "but not in dock from 0 to 100 s: dock covers"),
         (
@@ -309,3 +315,12 @@ def test_of_random_tasks_only_the_one_whose_goal_lies_in_an_obstacle_is_refused(
             refused[seed] = found
     assert list(refused) == [1_000_014]
     assert "r3 has to be in zone by 150 s, but that place lies in the solid obstacle wall2" in refused[1_000_014]
+
+
+def test_what_need_not_rest_where_no_robot_comes_is_not_told_to_be_impossible() -> None:
+    tables = {"obstacles": GAP, "objects": SMALL}
+    assert explain(make_task("F[0,100] ball in dock", **tables)) is None
+    roll = {"ball": SMALL["ball"] | {"rest": False}}
+    assert explain(make_task("G[100,100] ball in dock", obstacles=GAP, objects=roll)) is None
+    near = {"dock": {"lower": [3.0, 1.5], "upper": [4.0, 2.5]}}  # ann reaches 0.3 m beyond her last place
+    assert explain(make_task("G[100,100] ball in dock", regions=near, **tables)) is None
