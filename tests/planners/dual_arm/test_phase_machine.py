@@ -73,7 +73,7 @@ def test_many_worlds_equal_those_of_the_readable_form(suite):
     for seed in range(1_000_000, 1_000_010):
         worst = compare(pair, suite, seed, 2200)
         # where pads slide off the box, accelerations and their rounding errors are hundreds of times as great
-        assert worst < (1e-8 if pair[1].fallbacks else 1e-9)
+        assert worst < (1e-7 if pair[1].fallbacks else 1e-9)
 
 
 def test_with_daqp_both_compute_the_same_bits_before_the_impact():

@@ -24,9 +24,8 @@ SEED = 1_000_000
 
 def check_same(scenario, variant, seed, steps):
     env = parallel_env(scenario)
-    found, wanted = (
-        play(env, expert(scenario, variant), seed, steps) for expert in (FloatingManipulatorExpert, ReadableExpert)
-    )
+    experts = [expert(scenario, variant) for expert in (FloatingManipulatorExpert, ReadableExpert)]
+    found, wanted = play(env, experts, seed, steps)
     np.testing.assert_allclose(found[0], wanted[0], rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(np.array(found[1]), np.array(wanted[1]), rtol=0.0, atol=1e-9)
     assert found[2] == wanted[2]

@@ -46,7 +46,7 @@ def check_same(scenario, variant, seed, threads=1):
     actions, features, counts = drive(worlds, experts, seed, scenario.steps)
     env, expert = parallel_env(scenario), make_expert(scenario, variant=variant)
     for k in range(WORLDS):
-        wanted, known, fallbacks = play(env, expert, seed + k, scenario.steps)
+        wanted, known, fallbacks = play(env, [expert], seed + k, scenario.steps)[0]
         np.testing.assert_array_equal(actions[:, k], wanted)
         np.testing.assert_array_equal(np.array(features[k]), np.array(known))
         assert {name: count[k] for name, count in counts.items() if count[k]} == fallbacks

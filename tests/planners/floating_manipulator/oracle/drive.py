@@ -2,29 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+Played = tuple[np.ndarray, list[np.ndarray], dict[str, int]]
 
-def play(env: Any, expert: Any, seed: int, steps: int) -> tuple[np.ndarray, list[np.ndarray], dict[str, int]]:
-    """Play an episode, correcting at random whenever a correction is awaited.
+
+def play(env: Any, experts: Sequence[Any], seed: int, steps: int) -> list[Played]:
+    """Play an episode by the first expert, correcting at random whenever a correction is awaited; all see the same.
 
     Returns:
-        Actions, shape (T, size); features at every awaited correction; counted fallbacks.
+        Of every expert: actions, shape (T, size); features at every awaited correction; counted fallbacks.
     """
     rng = np.random.default_rng(seed)
     seen, _ = env.reset(seed=seed)
-    expert.reset(seed)
-    actions, features = [], []
+    actions: list[list[np.ndarray]] = [[] for _ in experts]
+    features: list[list[np.ndarray]] = [[] for _ in experts]
+    for expert in experts:
+        expert.reset(seed)
     for _ in range(steps):
-        expert.observe(seen)
-        if expert.awaiting_correction:
-            features.append(expert.features())
-            expert.correct(rng.uniform(-1.0, 1.0, expert.correction_size))
-        chosen = expert.control()
-        actions.append(np.concatenate(list(chosen.values())))
-        seen = env.step(chosen)[0]
+        correction = rng.uniform(-1.0, 1.0, experts[0].correction_size)
+        chosen = []
+        for expert, acted, felt in zip(experts, actions, features, strict=True):
+            expert.observe(seen)
+            if expert.awaiting_correction:
+                felt.append(expert.features())
+                expert.correct(correction)
+            chosen.append(expert.control())
+            acted.append(np.concatenate(list(chosen[-1].values())))
+        seen = env.step(chosen[0])[0]
         if not env.agents:
             break
-    return np.array(actions), features, dict(expert.diagnostics().fallbacks)
+    return [
+        (np.array(acted), felt, dict(expert.diagnostics().fallbacks))
+        for expert, acted, felt in zip(experts, actions, features, strict=True)
+    ]
