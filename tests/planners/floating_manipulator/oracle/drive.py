@@ -23,12 +23,13 @@ def play(env: Any, experts: Sequence[Any], seed: int, steps: int) -> list[Played
     for expert in experts:
         expert.reset(seed)
     for _ in range(steps):
-        correction = rng.uniform(-1.0, 1.0, experts[0].correction_size)
-        chosen = []
+        chosen: list[dict[str, np.ndarray]] = []
+        correction: np.ndarray | None = None
         for expert, acted, felt in zip(experts, actions, features, strict=True):
             expert.observe(seen)
             if expert.awaiting_correction:
                 felt.append(expert.features())
+                correction = rng.uniform(-1.0, 1.0, expert.correction_size) if correction is None else correction
                 expert.correct(correction)
             chosen.append(expert.control())
             acted.append(np.concatenate(list(chosen[-1].values())))
