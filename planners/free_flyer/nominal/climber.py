@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -123,7 +124,11 @@ class Climber:
         """Return a plan with the impacts that were found."""
         task, options, budget = self.task, self.options, self.budget
         if optimum.found is not None:
-            return plan_composed(task, optimum, optimum.found, budget, options)
+            # What takes longer to find may have motions at once.
+            part = budget.share(options.attempt_share * budget.left) if options.simple else budget
+            plan = plan_composed(task, optimum, optimum.found, part, options)
+            seconds = Counter(budget.stages) + Counter(part.stages if part is not budget else {})
+            return replace(plan, solve_seconds=budget.seconds, stage_seconds=dict(seconds))
         if quick is not None:
             try:
                 return plan_events(*quick, [], budget, options)

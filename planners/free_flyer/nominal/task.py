@@ -224,7 +224,8 @@ class PlanOptions:
         robustness_gap: to which the greatest robustness is proven, relative.
         pieces: numbers of pieces per leg in the order in which they are tried; two let robots turn corners.
         most_pieces: greatest number of pieces per leg, where there is no plan with those.
-        attempt_share: share of the time left that one attempt to find impacts may take, with one object.
+        attempt_share: share of the time left that one attempt to find impacts may take, with one object; or motions for
+            objects that are moved one after another.
         joint_share: the same with several objects.
         simple_share: the same for attempts in which they are only moved as each would be alone, or one after another.
         kept: share of all time that these leave to those that take longer.

@@ -83,7 +83,7 @@ def _box(center: np.ndarray, half: float) -> dict[str, object]:
 
 def _check(scenario: FreeFlyerScenario, plan: Plan) -> None:
     rho = validate_plan(scenario, plan, TIGHT)
-    assert rho == pytest.approx(plan.robustness, abs=1e-8)  # it was planned in other units
+    assert rho == pytest.approx(plan.robustness, abs=1e-7)  # planned in other units, with other tolerances
     assert rho <= plan.bound + 1e-9
     for robot, curve in plan.robots.items():
         times = np.linspace(0.0, plan.horizon, 4001)
