@@ -154,10 +154,8 @@ def maximise_on_way(task: NominalTask, max_impacts: int, budget: Budget, options
         raise SolverFailed(problem, "the formula names no place for the object", "name one")
 
     def is_possible(merged: frozenset[int]) -> bool:
-        guided, size = (
-            replace(task, corrections=way.place_hits(merged)),
-            GridSize(way.impacts - len(merged), 1, passing=True),
-        )
+        size = GridSize(way.impacts - len(merged), 1, passing=True)
+        guided = replace(task, corrections=way.place_hits(merged))
         return budget.left > 0.0 and not is_size_excluded(guided, size, (options.least, ceiling), budget.left)
 
     pairs = [pair for pair in way.pairs if is_possible(frozenset([pair]))]
@@ -171,16 +169,16 @@ def maximise_on_way(task: NominalTask, max_impacts: int, budget: Budget, options
             if budget.left <= 0.0 or (found and least >= options.enough * ceiling):
                 break
             budget.progress.impacts, budget.progress.pieces = impacts, pieces
-            limit = budget.left * (0.3 if found else 1.0)
+            size, limit = (
+                GridSize(impacts, pieces, passing=True),
+                budget.left * (options.attempt_share if found else 1.0),
+            )
             with suppress(PlanningError):
-                found.append(
-                    _solve_size(guided, GridSize(impacts, pieces, passing=True), (least, ceiling), limit, options)
-                )
+                one = _solve_size(guided, size, (least, ceiling), limit, options)
+                found.append(replace(one, corrections=guided.corrections))
         if found:
             full = found[-1].rho >= ceiling - TOLERANCE
-            rho = ceiling if full else found[-1].rho
-            fewer = tuple(found[-2::-1])
-            return replace(found[-1], rho=rho, fewer=fewer, complete=full, corrections=guided.corrections)
+            return replace(found[-1], rho=ceiling if full else found[-1].rho, fewer=tuple(found[-2::-1]), complete=full)
     status = "no plan with hits near the turns of the object's shortest way"
     raise SolverFailed(problem, "time limit reached" if budget.left <= 0.0 else status, "raise the time limit")
 

@@ -128,9 +128,8 @@ def find_excluded_object(task: NominalTask, max_impacts: int, least: float, time
 def _free_robots(task: NominalTask) -> NominalTask:
     """Return the task of one object whose robots pass through everything, and of which nothing is asked."""
     (name,), demands = task.scenario.objects, task.demands
-    freed = _drop_predicates(
-        demands, [one for one, need in demands.predicates.items() if not set(need.bodies) <= {name}]
-    )
+    others = [one for one, need in demands.predicates.items() if not set(need.bodies) <= {name}]
+    freed = _drop_predicates(demands, others)
     return replace(task, demands=replace(freed, solids=tuple(need for need in demands.solids if need.body == name)))
 
 
