@@ -169,12 +169,9 @@ def maximise_on_way(task: NominalTask, max_impacts: int, budget: Budget, options
             if budget.left <= 0.0 or (found and least >= options.enough * ceiling):
                 break
             budget.progress.impacts, budget.progress.pieces = impacts, pieces
-            size, limit = (
-                GridSize(impacts, pieces, passing=True),
-                budget.left * (options.attempt_share if found else 1.0),
-            )
+            size, share = GridSize(impacts, pieces, passing=True), options.attempt_share if found else 1.0
             with suppress(PlanningError):
-                one = _solve_size(guided, size, (least, ceiling), limit, options)
+                one = _solve_size(guided, size, (least, ceiling), share * budget.left, options)
                 found.append(replace(one, corrections=guided.corrections))
         if found:
             full = found[-1].rho >= ceiling - TOLERANCE
