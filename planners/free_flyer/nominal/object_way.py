@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -26,6 +27,7 @@ NEAR = 2.5  # half a side of the box around a turn [radii of the object]
 MERGED = 8.0  # two turns that are nearer may be one, in the middle [radii of the object]
 STRAIGHT = 0.9  # cosine of the angle of a turn that is none
 MOST_ORDERS = 6  # of places that may be visited in any order
+MOST_OBSTACLES = 20  # that the object keeps away from; among more a way takes seconds to find, and none is
 
 
 @dataclass(frozen=True)
@@ -106,10 +108,12 @@ def find_object_way(scenario: FreeFlyerScenario, demands: Demands, wall: float) 
         wall: distance kept from the world's edge and solid obstacles beyond touching [m].
     """
     ((name, body),) = scenario.objects.items()
-    if any(body.start_velocity):
+    avoided = sum(need.body == name for need in list_avoided(demands))
+    if any(body.start_velocity) or avoided > MOST_OBSTACLES:
         return None
-    found = [_find_stops(scenario, demands, name, wall, places) for places in _list_orders(scenario, demands, name)]
-    stops = min((one for one in found if one is not None), key=len, default=None)
+    orders = sorted(_list_orders(scenario, demands, name), key=partial(_measure_straight, np.array(body.start)))
+    found = (_find_stops(scenario, demands, name, wall, places) for places in orders)
+    stops = next((one for one in found if one is not None), None)
     return None if stops is None else ObjectWay(name, tuple(stops), MERGED * body.radius, body.rest)
 
 
@@ -163,6 +167,12 @@ def _list_orders(scenario: FreeFlyerScenario, demands: Demands, name: str) -> It
             places = [place for group in order for place in group if len(place) > 2]
             if places:
                 yield tuple(_drop_repeated(places))
+
+
+def _measure_straight(start: np.ndarray, places: Sequence[np.ndarray]) -> float:
+    """Return the length of the lines from a start through the middles of places [m]."""
+    middles = np.array([start, *(0.5 * (place.min(axis=0) + place.max(axis=0)) for place in places)])
+    return float(np.linalg.norm(np.diff(middles, axis=0), axis=1).sum())
 
 
 def _find_window(moment: Moment) -> tuple[float, float, object]:
